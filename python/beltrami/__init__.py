@@ -1,0 +1,36 @@
+"""Intrinsic computing on triangle meshes and point clouds, with answers that certify themselves.
+
+``import beltrami as bt``; every name below is documented where it is defined.
+"""
+
+from __future__ import annotations
+
+from ._core import num_threads, set_num_threads
+from .errors import (
+    Cancelled,
+    ConvergenceError,
+    DependencyError,
+    Error,
+    FileError,
+    InputError,
+    InternalError,
+    NumericalError,
+    TopologyError,
+)
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Cancelled",
+    "ConvergenceError",
+    "DependencyError",
+    "Error",
+    "FileError",
+    "InputError",
+    "InternalError",
+    "NumericalError",
+    "TopologyError",
+    "__version__",
+    "num_threads",
+    "set_num_threads",
+]

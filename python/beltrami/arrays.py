@@ -1,0 +1,149 @@
+"""The one gate for arrays that come in: any dtype, order, stride or byte order; out comes C order of the exact type, or an error
+that names the element. What is handed in is never changed, and never kept unless it cannot change any more."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sparse
+
+from .errors import InputError
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+CsrArrays = tuple[int, int, npt.NDArray[np.int64], Ints, Floats]
+
+
+def _array(value: Any, name: str) -> npt.NDArray[Any]:
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{name} cannot be read as an array: {error}") from None
+    if array.dtype.kind not in "buif":
+        raise InputError(f"{name} has dtype {array.dtype} ({type(value).__name__}); real numbers are needed")
+    return array
+
+
+def floats(value: Any, name: str, shape: tuple[int | None, ...], *, finite: bool = True) -> Floats:
+    """A float64 array in C order; ``None`` in ``shape`` allows any length there."""
+    array = _array(value, name)
+    if array.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
+        wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+        raise InputError(f"{name} has shape {array.shape}, {wanted} is needed")
+    with np.errstate(over="ignore"):
+        result = np.require(array, np.float64, ["C", "A"])
+    if finite and not np.isfinite(result).all():
+        where = np.argwhere(~np.isfinite(result))[0]
+        place = int(where[0]) if result.ndim == 1 else tuple(int(w) for w in where)
+        raise InputError(f"{name}[{place}] is {result[tuple(where)]}; replace or remove it")
+    return result
+
+
+def points(value: Any, name: str, least: int = 1) -> Floats:
+    """(n, D) float64, D >= ``least``. An empty list counts as no points of R^3."""
+    array = _array(value, name)
+    if array.size == 0 and array.ndim < 2:
+        return np.zeros((0, 3))
+    if array.ndim != 2 or array.shape[1] < least:
+        raise InputError(f"{name} has shape {array.shape}, (n, D) with D >= {least} is needed")
+    return floats(array, name, (None, None), finite=False)
+
+
+def triangles(value: Any, name: str, count: int) -> Ints:
+    """(m, 3) int32, each from 0 to ``count`` - 1. An empty list counts as no triangles."""
+    array = _array(value, name)
+    if array.size == 0 and (array.ndim < 2 or array.shape[1:] == (3,)):
+        return np.zeros((0, 3), np.int32)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"{name} has shape {array.shape}, (m, 3) is needed; split polygons into triangles first")
+    if array.dtype.kind == "b":
+        raise InputError(f"{name} has dtype bool; vertex numbers are needed")
+    wrong = ~((array >= 0) & (array < count))
+    if array.dtype.kind == "f":
+        wrong |= array != np.floor(array)
+    if wrong.any():
+        face, corner = np.argwhere(wrong)[0]
+        raise InputError(f"face {face} refers to vertex {array[face, corner]}, the mesh has {count} vertices (numbers are whole and start at 0)")
+    return np.require(array, np.int32, ["C", "A"])
+
+
+def whole(value: Any, name: str, least: int | None = None, most: int | None = None) -> int:
+    """A whole number in a range; numpy's integers count, bool and floats do not."""
+    try:
+        if isinstance(value, bool | np.bool_):
+            raise TypeError
+        number = operator.index(value)
+    except TypeError:
+        raise InputError(f"{name} is {value!r}; a whole number is needed") from None
+    if (least is not None and number < least) or (most is not None and number > most):
+        span = f"at least {least}" if most is None else f"at most {most}" if least is None else f"from {least} to {most}"
+        raise InputError(f"{name} is {number}; it must be {span}")
+    return number
+
+
+def number(value: Any, name: str, above: float | None = None, least: float | None = None) -> float:
+    """A finite real number, above or at least a bound."""
+    try:
+        if isinstance(value, str | bytes | complex):
+            raise TypeError
+        result = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {value!r}; a number is needed") from None
+    if not np.isfinite(result) or (above is not None and result <= above) or (least is not None and result < least):
+        bound = "finite" if above is None and least is None else f"above {above:g}" if above is not None else f"at least {least:g}"
+        raise InputError(f"{name} is {result:g}; it must be {bound}")
+    return result
+
+
+def indices(value: Any, name: str, count: int, *, empty: bool = False) -> npt.NDArray[np.int64]:
+    """Indices from 0 to ``count`` - 1 (one number, a list, or a mask of ``count`` booleans)."""
+    array = np.atleast_1d(_array(value, name)) if not (isinstance(value, list | tuple) and len(value) == 0) else np.zeros(0, np.int64)
+    if array.ndim != 1:
+        raise InputError(f"{name} has shape {array.shape}; a list of indices is needed")
+    if array.dtype.kind == "b":
+        if len(array) != count:
+            raise InputError(f"{name} is a mask of {len(array)}, the shape has {count} vertices")
+        array = np.flatnonzero(array)
+    elif array.size and array.dtype.kind == "f":
+        raise InputError(f"{name} holds {array[0]!r}; whole numbers are needed")
+    if array.size == 0 and not empty:
+        raise InputError(f"{name} is empty; name at least one vertex")
+    wrong = (array < 0) | (array >= count)
+    if wrong.any():
+        at = int(np.flatnonzero(wrong)[0])
+        raise InputError(f"{name}[{at}] is {array[at]}; the shape has {count} vertices, numbered from 0")
+    return array.astype(np.int64)
+
+
+def frozen(array: npt.NDArray[Any], given: Any) -> npt.NDArray[Any]:
+    """The array, read-only; a copy if it may still share memory with what was given."""
+    if array is given or not array.flags.owndata or (isinstance(given, np.ndarray) and np.may_share_memory(array, given)):
+        array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+def csr_in(matrix: Any, name: str) -> CsrArrays:
+    """A scipy sparse matrix (any format) or a dense square array, as the core takes it: sorted, entries added up, finite."""
+    if not sparse.issparse(matrix):
+        matrix = floats(matrix, name, (None, None))
+    if matrix.dtype.kind not in "buif":
+        raise InputError(f"{name} has dtype {matrix.dtype}; real numbers are needed")
+    csr = sparse.csr_array(matrix, dtype=np.float64)
+    if not csr.has_canonical_format:
+        csr = csr.copy()
+        csr.sum_duplicates()
+    rows, columns = csr.shape
+    return rows, columns, np.require(csr.indptr, np.int64, ["C", "A"]), np.require(csr.indices, np.int32, ["C", "A"]), np.require(csr.data, np.float64, ["C", "A"])
+
+
+def csr_out(parts: tuple[Floats, npt.NDArray[Any], npt.NDArray[Any]], shape: tuple[int, int]) -> sparse.csr_array:
+    """The core's matrix as a scipy array, without a copy."""
+    matrix = sparse.csr_array(shape)
+    matrix.data, matrix.indices, matrix.indptr = parts
+    matrix.has_sorted_indices = True
+    matrix.has_canonical_format = True
+    return matrix

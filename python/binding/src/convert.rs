@@ -1,0 +1,86 @@
+//! Arrays in and out.
+//!
+//! The Python side hands over C-ordered, aligned arrays of the exact type (its one gate is `beltrami/arrays.py`); here that
+//! is checked again and refused otherwise, because `as_slice` of the numpy crate would take Fortran order for C order.
+
+use crate::error;
+use beltrami::{Csr, TriangleMesh};
+use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+
+/// The numbers of a vector.
+pub fn vector<'a, T: Element>(array: &'a PyReadonlyArray1<'_, T>) -> PyResult<&'a [T]> {
+    array.as_slice().map_err(|_| error::input(array.py(), "a vector handed to the core is not contiguous"))
+}
+
+/// The numbers of a table, row after row, and its number of columns.
+pub fn table<'a, T: Element>(array: &'a PyReadonlyArray2<'_, T>) -> PyResult<(&'a [T], usize)> {
+    if !array.is_c_contiguous() {
+        return Err(error::input(array.py(), "a table handed to the core is not in C order"));
+    }
+    let numbers = array.as_slice().map_err(|_| error::input(array.py(), "a table handed to the core is not contiguous"))?;
+    Ok((numbers, array.shape()[1]))
+}
+
+/// The arrays of a mesh as Python keeps them: (n, D) float64 and (m, 3) int32, C-ordered.
+#[derive(FromPyObject)]
+pub struct MeshArrays<'py>(PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, i32>);
+
+impl MeshArrays<'_> {
+    /// The mesh of the core on these arrays, without a copy.
+    pub fn mesh(&self) -> PyResult<TriangleMesh<'_>> {
+        let py = self.0.py();
+        let (vertices, dimension) = table(&self.0)?;
+        let (corners, three) = table(&self.1)?;
+        if three != 3 {
+            return Err(error::input(py, format!("faces have {three} columns, a triangle has 3")));
+        }
+        let faces: &[[u32; 3]] = bytemuck::cast_slice(corners);
+        TriangleMesh::new(dimension, vertices, faces).map_err(|e| error::convert(py, e))
+    }
+}
+
+/// A matrix as Python hands it over: rows, columns, row starts (int64), column indices (int32), values.
+#[derive(FromPyObject)]
+pub struct CsrArrays<'py>(usize, usize, PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i32>, PyReadonlyArray1<'py, f64>);
+
+impl CsrArrays<'_> {
+    /// The core's matrix, a checked copy.
+    pub fn matrix(&self) -> PyResult<Csr> {
+        let py = self.2.py();
+        let wrong = |_| error::input(py, "a row start or a column of the matrix is negative");
+        let starts = vector(&self.2)?.iter().map(|&start| usize::try_from(start)).collect::<Result<_, _>>().map_err(wrong)?;
+        let indices = vector(&self.3)?.iter().map(|&index| u32::try_from(index)).collect::<Result<_, _>>().map_err(wrong)?;
+        Csr::new(self.0, self.1, starts, indices, vector(&self.4)?.to_vec()).map_err(|e| error::convert(py, e))
+    }
+}
+
+/// A matrix on its way to Python: (values, column indices, row starts), the indices 32 bits wide if that is enough.
+pub type CsrParts<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyAny>, Bound<'py, PyAny>);
+
+/// The arrays of a matrix for `scipy.sparse.csr_array`.
+pub fn matrix_out<'py>(py: Python<'py>, matrix: Csr) -> CsrParts<'py> {
+    let narrow = matrix.values().len() < i32::MAX as usize;
+    let (starts, indices, values) = matrix.into_parts();
+    let (indices, starts) = if narrow {
+        let indices: Vec<i32> = indices.into_iter().map(|index| index as i32).collect();
+        let starts: Vec<i32> = starts.into_iter().map(|start| start as i32).collect();
+        (indices.into_pyarray(py).into_any(), starts.into_pyarray(py).into_any())
+    } else {
+        let indices: Vec<i64> = indices.into_iter().map(i64::from).collect();
+        let starts: Vec<i64> = starts.into_iter().map(|start| start as i64).collect();
+        (indices.into_pyarray(py).into_any(), starts.into_pyarray(py).into_any())
+    };
+    (values.into_pyarray(py), indices, starts)
+}
+
+/// A vector on its way to Python, without a copy.
+pub fn vector_out<T: Element>(py: Python<'_>, numbers: Vec<T>) -> Bound<'_, PyArray1<T>> {
+    numbers.into_pyarray(py)
+}
+
+/// A table on its way to Python, without a copy: `numbers` row after row.
+pub fn table_out<T: Element>(py: Python<'_>, numbers: Vec<T>, columns: usize) -> PyResult<Bound<'_, PyArray2<T>>> {
+    let rows = if columns == 0 { 0 } else { numbers.len() / columns };
+    numbers.into_pyarray(py).reshape([rows, columns])
+}

@@ -1,0 +1,13 @@
+"""Prints the requirements of pyproject.toml, extras included, one a line: what `make build` installs before the wheel itself."""
+
+import sys
+from pathlib import Path
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+project = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+for requirement in [*project["dependencies"], *(r for extra in project["optional-dependencies"].values() for r in extra)]:
+    print(f"'{requirement}'")

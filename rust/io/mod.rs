@@ -1,0 +1,1 @@
+//! Order-preserving readers and writers of surfaces and clouds.

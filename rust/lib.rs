@@ -1,0 +1,31 @@
+//! Intrinsic computing on triangle meshes and point clouds.
+//!
+//! Data flows one way through the rooms of this crate, and so do imports:
+//!
+//! | room | what is in it |
+//! |---|---|
+//! | [`io`] | order-preserving readers and writers: OBJ, PLY, STL, OFF, point lists, gzip of each |
+//! | [`shape`] | triangle meshes in R^D, topology, exact makers (spheres, tori, knots ...) |
+//! | [`near`] | neighbours, closest points, rays |
+//! | [`operators`] | stiffness, mass, gradient, divergence |
+//! | [`solvers`] | sparse Cholesky and eigenpairs; they know matrices, never meshes |
+//!
+//! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
+//!
+//! Every public function returns its failure as an [`Error`] that says what is wrong, where, and what to do; none
+//! panics on bad input, and no answer holds a NaN. The same input gives the same bits on any number of threads.
+
+pub mod control;
+pub mod error;
+pub mod io;
+pub mod near;
+pub mod operators;
+pub mod shape;
+pub mod solvers;
+pub mod sparse;
+pub mod threads;
+
+pub use control::Control;
+pub use error::{Error, Result};
+pub use shape::TriangleMesh;
+pub use sparse::Csr;

@@ -1,0 +1,1 @@
+//! Neighbours, closest points and rays.

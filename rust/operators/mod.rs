@@ -1,0 +1,1 @@
+//! Discrete operators of a shape: stiffness, mass, gradient, divergence.

@@ -1,0 +1,5 @@
+//! Shapes: triangle meshes in R^D, what can be said of their connectivity, and exact makers.
+
+mod mesh;
+
+pub use mesh::TriangleMesh;

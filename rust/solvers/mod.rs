@@ -1,0 +1,1 @@
+//! Solvers: sparse Cholesky and eigenpairs. They know matrices, never meshes.
