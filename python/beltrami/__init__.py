@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from . import shapes
 from ._core import num_threads, set_num_threads
 from .errors import (
     Cancelled,
@@ -17,6 +18,7 @@ from .errors import (
     NumericalError,
     TopologyError,
 )
+from .shapes import PointCloud, TriangleMesh
 
 __version__ = "0.1.0"
 
@@ -29,8 +31,11 @@ __all__ = [
     "InputError",
     "InternalError",
     "NumericalError",
+    "PointCloud",
     "TopologyError",
+    "TriangleMesh",
     "__version__",
     "num_threads",
     "set_num_threads",
+    "shapes",
 ]

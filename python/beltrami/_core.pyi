@@ -1,13 +1,11 @@
 """The compiled core. Users call it through the modules of beltrami; stubtest holds this file against the real thing."""
 
-import numpy as np
-import numpy.typing as npt
-
 from .arrays import CsrArrays as CsrArrays
 from .arrays import Floats as Floats
 from .arrays import Ints as Ints
 
 # shape
+def check_mesh(mesh: tuple[Floats, Ints]) -> None: ...
 def face_areas(mesh: tuple[Floats, Ints]) -> Floats: ...
 
 # threads

@@ -66,7 +66,9 @@ def triangles(value: Any, name: str, count: int) -> Ints:
         wrong |= array != np.floor(array)
     if wrong.any():
         face, corner = np.argwhere(wrong)[0]
-        raise InputError(f"face {face} refers to vertex {array[face, corner]}, the mesh has {count} vertices (numbers are whole and start at 0)")
+        raise InputError(
+            f"face {face} refers to vertex {array[face, corner]}, the mesh has {count} vertices (numbers are whole and start at 0)"
+        )
     return np.require(array, np.int32, ["C", "A"])
 
 
@@ -137,7 +139,8 @@ def csr_in(matrix: Any, name: str) -> CsrArrays:
         csr = csr.copy()
         csr.sum_duplicates()
     rows, columns = csr.shape
-    return rows, columns, np.require(csr.indptr, np.int64, ["C", "A"]), np.require(csr.indices, np.int32, ["C", "A"]), np.require(csr.data, np.float64, ["C", "A"])
+    starts, indices = np.require(csr.indptr, np.int64, ["C", "A"]), np.require(csr.indices, np.int32, ["C", "A"])
+    return rows, columns, starts, indices, np.require(csr.data, np.float64, ["C", "A"])
 
 
 def csr_out(parts: tuple[Floats, npt.NDArray[Any], npt.NDArray[Any]], shape: tuple[int, int]) -> sparse.csr_array:

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-__all__ = ["Cancelled", "ConvergenceError", "DependencyError", "Error", "FileError", "InputError", "InternalError", "NumericalError", "TopologyError"]
+__all__ = [
+    "Cancelled",
+    "ConvergenceError",
+    "DependencyError",
+    "Error",
+    "FileError",
+    "InputError",
+    "InternalError",
+    "NumericalError",
+    "TopologyError",
+]
 
 
 class Error(Exception):

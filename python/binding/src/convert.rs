@@ -4,6 +4,7 @@
 //! is checked again and refused otherwise, because `as_slice` of the numpy crate would take Fortran order for C order.
 
 use crate::error;
+use crate::run;
 use beltrami::{Csr, TriangleMesh};
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -36,7 +37,7 @@ impl MeshArrays<'_> {
             return Err(error::input(py, format!("faces have {three} columns, a triangle has 3")));
         }
         let faces: &[[u32; 3]] = bytemuck::cast_slice(corners);
-        TriangleMesh::new(dimension, vertices, faces).map_err(|e| error::convert(py, e))
+        run::brief(py, || TriangleMesh::new(dimension, vertices, faces))
     }
 }
 
@@ -45,13 +46,15 @@ impl MeshArrays<'_> {
 pub struct CsrArrays<'py>(usize, usize, PyReadonlyArray1<'py, i64>, PyReadonlyArray1<'py, i32>, PyReadonlyArray1<'py, f64>);
 
 impl CsrArrays<'_> {
-    /// The core's matrix, a checked copy.
+    /// The core's matrix, a checked copy. A negative start or column turns into one that is out of range.
     pub fn matrix(&self) -> PyResult<Csr> {
-        let py = self.2.py();
-        let wrong = |_| error::input(py, "a row start or a column of the matrix is negative");
-        let starts = vector(&self.2)?.iter().map(|&start| usize::try_from(start)).collect::<Result<_, _>>().map_err(wrong)?;
-        let indices = vector(&self.3)?.iter().map(|&index| u32::try_from(index)).collect::<Result<_, _>>().map_err(wrong)?;
-        Csr::new(self.0, self.1, starts, indices, vector(&self.4)?.to_vec()).map_err(|e| error::convert(py, e))
+        let (starts, indices, values) = (vector(&self.2)?, vector(&self.3)?, vector(&self.4)?);
+        let (rows, columns) = (self.0, self.1);
+        run::brief(self.2.py(), || {
+            let starts = starts.iter().map(|&start| start as usize).collect();
+            let indices = indices.iter().map(|&index| index as u32).collect();
+            Csr::new(rows, columns, starts, indices, values.to_vec())
+        })
     }
 }
 

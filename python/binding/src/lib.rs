@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::shape::face_areas;
+    use super::shape::{check_mesh, face_areas};
     #[pymodule_export]
     use super::threads::{num_threads, set_num_threads};
 }

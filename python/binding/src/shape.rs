@@ -12,3 +12,9 @@ pub fn face_areas<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<Bound
     let areas = run::brief(py, || Ok(mesh.face_areas()))?;
     Ok(vector_out(py, areas))
 }
+
+/// Checks a mesh: finite coordinates, faces in range.
+#[pyfunction]
+pub fn check_mesh(mesh: MeshArrays<'_>) -> PyResult<()> {
+    mesh.mesh().map(|_| ())
+}
