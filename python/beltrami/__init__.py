@@ -18,6 +18,7 @@ from .errors import (
     NumericalError,
     TopologyError,
 )
+from .near import nearest_neighbors, neighbors_within
 from .shapes import PointCloud, TriangleMesh
 
 __version__ = "0.1.0"
@@ -35,6 +36,8 @@ __all__ = [
     "TopologyError",
     "TriangleMesh",
     "__version__",
+    "nearest_neighbors",
+    "neighbors_within",
     "num_threads",
     "set_num_threads",
     "shapes",

@@ -2,6 +2,7 @@
 
 mod convert;
 mod error;
+mod near;
 mod run;
 mod shape;
 mod threads;
@@ -10,6 +11,8 @@ use pyo3::prelude::*;
 
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::near::{nearest_neighbors, neighbors_within};
     #[pymodule_export]
     use super::shape::{check_mesh, face_areas};
     #[pymodule_export]
