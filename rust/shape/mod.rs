@@ -1,5 +1,10 @@
 //! Shapes: triangle meshes in R^D, what can be said of their connectivity, and exact makers.
 
+mod glue;
+mod implicit;
+pub mod make;
 mod mesh;
+mod topology;
 
 pub use mesh::TriangleMesh;
+pub use topology::{BoundaryLoop, Topology};
