@@ -14,8 +14,14 @@ type Point = [f64; 3];
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Curve {
     /// A circle in a plane z = constant.
-    Circle { center: Point, radius: f64 },
-    Segment { start: Point, end: Point },
+    Circle {
+        center: Point,
+        radius: f64,
+    },
+    Segment {
+        start: Point,
+        end: Point,
+    },
 }
 
 fn dot(a: Point, b: Point) -> f64 {
@@ -125,14 +131,38 @@ pub(crate) fn tube_union(curves: &[Curve], tube: f64, resolution: usize, genus: 
             bounds[1][axis] = bounds[1][axis].max(high[axis]);
         }
     }
-    let margin = 2.0 * tube + 2.0 * cell; // the smoothed union is a little thicker than the tube
-    let low = bounds[0].map(|x| x - margin);
+    let margin = 2.0 * tube + 3.0 * cell; // the smoothed union is a little thicker than the tube
     let counts: [usize; 3] = std::array::from_fn(|axis| ((bounds[1][axis] - bounds[0][axis] + 2.0 * margin) / cell).ceil() as usize + 1);
     let nodes = counts.iter().try_fold(1usize, |product, &count| product.checked_mul(count)).filter(|&nodes| nodes <= 1 << 31);
     if nodes.is_none() {
         return Err(Error::input(format!("resolution {resolution} needs a table of {counts:?} values; choose a coarser one")));
     }
-    let (mut vertices, quads) = surface_net(&field, low, cell, counts, control)?;
+    // Where the surface has a saddle in a plane of the grid, four sheets of the net can meet in one edge: then the grid is shifted.
+    let mut last = Error::Cancelled;
+    for attempt in 0..SHIFTS {
+        let shift = |axis: usize| (0.5 + attempt as f64 * [0.754877666, 0.569840291, 0.430159709][axis]).fract() - 1.0;
+        let low = std::array::from_fn(|axis| bounds[0][axis] - margin + cell * shift(axis));
+        let share = |done: f64| control.report((attempt as f64 + done) / SHIFTS as f64);
+        match tube_union_on(&field, low, cell, counts, genus, &share) {
+            Err(error @ Error::Numerical(_)) => last = error,
+            outcome => return outcome,
+        }
+    }
+    Err(Error::numerical(format!("resolution {resolution} is too coarse for this surface: {last}")))
+}
+
+const SHIFTS: usize = 12;
+const ROUNDS: usize = 10;
+
+fn tube_union_on(
+    field: &Field<'_>,
+    low: Point,
+    cell: f64,
+    counts: [usize; 3],
+    genus: usize,
+    share: &impl Fn(f64) -> Result<()>,
+) -> Result<TriangleMesh<'static>> {
+    let (mut vertices, quads) = surface_net(field, low, cell, counts, share)?;
     vertices.par_iter_mut().with_min_len(64).for_each(|vertex| *vertex = field.project(*vertex).0);
     let mut faces = Vec::with_capacity(2 * quads.len());
     for [a, b, c, d] in quads {
@@ -140,31 +170,35 @@ pub(crate) fn tube_union(curves: &[Curve], tube: f64, resolution: usize, genus: 
         let (ac, bd) = (minus(pa, pc), minus(pb, pd));
         faces.extend(if dot(ac, ac) <= dot(bd, bd) { [[a, b, c], [a, c, d]] } else { [[b, c, d], [b, d, a]] });
     }
-    let coarse = |what: String| Error::numerical(format!("at resolution {resolution} {what}; choose a finer one"));
-    let mut mesh = TriangleMesh::new(3, vertices.as_flattened().to_vec(), faces)?;
-    check(&mesh, genus).map_err(coarse)?;
+    let mut mesh = TriangleMesh::new(3, vertices.into_flattened(), faces)?;
+    check(&mesh, genus)?;
     for round in 0..ROUNDS {
-        control.report(0.6 + 0.4 * round as f64 / ROUNDS as f64)?;
-        mesh = even_out(&field, &mesh, control)?;
+        share(0.6 + 0.4 * round as f64 / ROUNDS as f64)?;
+        mesh = even_out(field, &mesh)?;
     }
-    check(&mesh, genus).map_err(coarse)?;
     Ok(mesh)
 }
 
-const ROUNDS: usize = 10;
-
-fn check(mesh: &TriangleMesh<'_>, genus: usize) -> std::result::Result<(), String> {
-    let topology = Topology::new(mesh).map_err(|error| error.to_string())?;
-    let found = topology.genus().map_err(|error| error.to_string())?;
-    let components = topology.components().1;
+fn check(mesh: &TriangleMesh<'_>, genus: usize) -> Result<()> {
+    let topology = Topology::new(mesh)?;
+    if let Some(reason) = topology.non_manifold_reason() {
+        return Err(Error::Numerical(reason));
+    }
+    let (found, components) = (topology.genus()?, topology.components().1);
     if found != genus || components != 1 || !topology.is_closed() {
-        return Err(format!("the surface comes out with genus {found} in {components} pieces instead of genus {genus} in one"));
+        return Err(Error::numerical(format!("it comes out with genus {found} in {components} pieces")));
     }
     Ok(())
 }
 
 /// A vertex for each cell in which the field changes its sign, and a quadrilateral for each grid edge along which it does.
-fn surface_net(field: &Field<'_>, low: Point, cell: f64, counts: [usize; 3], control: &Control) -> Result<(Vec<Point>, Vec<[u32; 4]>)> {
+fn surface_net(
+    field: &Field<'_>,
+    low: Point,
+    cell: f64,
+    counts: [usize; 3],
+    share: &impl Fn(f64) -> Result<()>,
+) -> Result<(Vec<Point>, Vec<[u32; 4]>)> {
     let [nx, ny, nz] = counts;
     let position = |i: usize, j: usize, k: usize| [low[0] + i as f64 * cell, low[1] + j as f64 * cell, low[2] + k as f64 * cell];
     let slice = |k: usize| -> Vec<f64> {
@@ -174,7 +208,7 @@ fn surface_net(field: &Field<'_>, low: Point, cell: f64, counts: [usize; 3], con
     let mut below = slice(0);
     let mut cells_below: Vec<u32> = Vec::new();
     for k in 0..nz - 1 {
-        control.report(0.6 * k as f64 / nz as f64)?;
+        share(0.6 * k as f64 / nz as f64)?;
         let above = slice(k + 1);
         let at = |i: usize, j: usize, up: usize| if up == 0 { below[j * nx + i] } else { above[j * nx + i] };
         let found: Vec<Option<Point>> = (0..(nx - 1) * (ny - 1))
@@ -225,21 +259,13 @@ fn surface_net(field: &Field<'_>, low: Point, cell: f64, counts: [usize; 3], con
                     continue;
                 }
                 if here != (below[j * nx + i + 1] < 0.0) {
-                    let quad = [
-                        cell_at(&cells_below, i, j - 1),
-                        cell_at(&cells_below, i, j),
-                        cell_at(&cells, i, j),
-                        cell_at(&cells, i, j - 1),
-                    ];
+                    let quad =
+                        [cell_at(&cells_below, i, j - 1), cell_at(&cells_below, i, j), cell_at(&cells, i, j), cell_at(&cells, i, j - 1)];
                     push(quad, here);
                 }
                 if here != (below[(j + 1) * nx + i] < 0.0) {
-                    let quad = [
-                        cell_at(&cells_below, i - 1, j),
-                        cell_at(&cells, i - 1, j),
-                        cell_at(&cells, i, j),
-                        cell_at(&cells_below, i, j),
-                    ];
+                    let quad =
+                        [cell_at(&cells_below, i - 1, j), cell_at(&cells, i - 1, j), cell_at(&cells, i, j), cell_at(&cells_below, i, j)];
                     push(quad, here);
                 }
             }
@@ -251,7 +277,7 @@ fn surface_net(field: &Field<'_>, low: Point, cell: f64, counts: [usize; 3], con
 
 /// One round: edges flipped where the two angles that face them exceed a half-turn, then each vertex moved towards the mean
 /// of its neighbours, along the surface.
-fn even_out(field: &Field<'_>, mesh: &TriangleMesh<'_>, control: &Control) -> Result<TriangleMesh<'static>> {
+fn even_out(field: &Field<'_>, mesh: &TriangleMesh<'_>) -> Result<TriangleMesh<'static>> {
     let position = |vertex: u32| -> Point {
         let p = mesh.vertex(vertex);
         [p[0], p[1], p[2]]
@@ -261,7 +287,6 @@ fn even_out(field: &Field<'_>, mesh: &TriangleMesh<'_>, control: &Control) -> Re
     mesh.faces().iter().flatten().for_each(|&corner| degrees[corner as usize] += 1);
     // Several passes: a flip can make its neighbours worth flipping.
     for _ in 0..4 {
-        control.check()?;
         let mut flips = 0;
         for half_edge in 0..3 * mesh.faces().len() as u32 {
             let twin = glue.twin(half_edge);

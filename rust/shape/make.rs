@@ -12,11 +12,7 @@ use std::f64::consts::TAU;
 const MOST: usize = 1 << 27; // vertices; more would not fit into the memory of an ordinary machine
 
 fn positive(value: f64, name: &str) -> Result<f64> {
-    if value.is_finite() && value > 0.0 {
-        Ok(value)
-    } else {
-        Err(Error::input(format!("{name} is {value}; it must be a positive number")))
-    }
+    if value.is_finite() && value > 0.0 { Ok(value) } else { Err(Error::input(format!("{name} is {value}; it must be a positive number"))) }
 }
 
 fn at_least(value: usize, least: usize, name: &str) -> Result<usize> {
@@ -29,7 +25,10 @@ fn at_least(value: usize, least: usize, name: &str) -> Result<usize> {
 
 fn affordable(count: Option<usize>) -> Result<usize> {
     count.filter(|&count| count <= MOST).ok_or_else(|| {
-        Error::input(format!("the surface would have {} vertices; at most {MOST} are made", count.map_or("too many".into(), |n| n.to_string())))
+        Error::input(format!(
+            "the surface would have {} vertices; at most {MOST} are made",
+            count.map_or("too many".into(), |n| n.to_string())
+        ))
     })
 }
 
@@ -180,7 +179,9 @@ fn ellipsoid_of(frequency: usize, semi_axes: [f64; 3]) -> Result<TriangleMesh<'s
     }
     let inside: Vec<Vec<[f64; 3]>> = ICOSAHEDRON
         .par_iter()
-        .map(|&[a, b, c]| (1..f).flat_map(|i| (1..f - i).map(move |j| (i, j))).map(|(i, j)| point(&[(a, f - i - j), (b, i), (c, j)])).collect())
+        .map(|&[a, b, c]| {
+            (1..f).flat_map(|i| (1..f - i).map(move |j| (i, j))).map(|(i, j)| point(&[(a, f - i - j), (b, i), (c, j)])).collect()
+        })
         .collect();
     vertices.extend(inside.into_iter().flatten());
     let mut faces = Vec::with_capacity(20 * f * f);
@@ -302,8 +303,7 @@ pub fn cylinder(radius: f64, height: f64, rows: usize, columns: usize, closed: b
         let [x, y] = turn(j, columns);
         [radius * x, radius * y, level(i)]
     });
-    let mut faces: Vec<[u32; 3]> =
-        table_faces(rows, columns, [false, true], true).into_iter().map(|[a, b, c]| [a, c, b]).collect();
+    let mut faces: Vec<[u32; 3]> = table_faces(rows, columns, [false, true], true).into_iter().map(|[a, b, c]| [a, c, b]).collect();
     for (row, up) in [(0, false), (rows - 1, true)].into_iter().filter(|_| closed) {
         let mut outer: Vec<u32> = (0..columns).map(|j| (row * columns + j) as u32).collect();
         for ring in (0..rings).rev() {
@@ -428,7 +428,10 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
     let places: Vec<[[f64; 3]; 4]> = (0..samples).into_par_iter().map(|k| curve(TAU * k as f64 / samples as f64)).collect();
     let sharpest = places.iter().map(|[_, v, a, _]| norm(cross(*v, *a)) / norm(*v).powi(3)).fold(0.0, f64::max);
     if tube * sharpest >= 1.0 {
-        return Err(Error::input(format!("tube_radius is {tube}, the knot's least radius of curvature is {}; the tube would fold", 1.0 / sharpest)));
+        return Err(Error::input(format!(
+            "tube_radius is {tube}, the knot's least radius of curvature is {}; the tube would fold",
+            1.0 / sharpest
+        )));
     }
     // lengths of arc by the trapezoid rule, which converges exponentially on a closed smooth curve
     let mut lengths = vec![0.0; samples + 1];
@@ -446,7 +449,9 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
         })
     });
     if let Some(gap) = thick {
-        return Err(Error::input(format!("tube_radius is {tube}, but strands of the knot come as near as {gap}; the tube would meet itself")));
+        return Err(Error::input(format!(
+            "tube_radius is {tube}, but strands of the knot come as near as {gap}; the tube would meet itself"
+        )));
     }
     let frames: Vec<[[f64; 3]; 3]> = (0..rows)
         .map(|row| {
@@ -458,7 +463,7 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
             [place, normal, cross(along, normal)]
         })
         .collect();
-    let vertices = table_vertices(rows, columns, |i, j| {
+    let vertices: Vec<[f64; 3]> = table_vertices(rows, columns, |i, j| {
         let ([place, normal, side], [c, s]) = (frames[i], turn(j, columns));
         std::array::from_fn(|axis| place[axis] + tube * (c * normal[axis] + s * side[axis]))
     });
@@ -469,11 +474,12 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
 fn tori(count: usize, spacing: f64, radii: [f64; 2], resolution: usize, control: &Control) -> Result<TriangleMesh<'static>> {
     let (big, tube) = (positive(radii[0], "ring_radius")?, positive(radii[1], "tube_radius")?);
     if tube > 0.7 * big {
-        return Err(Error::input(format!("tube_radius is {tube}, ring_radius is {big}; the tube may have 0.7 of the ring's radius, or the holes would close")));
+        return Err(Error::input(format!(
+            "tube_radius is {tube}, ring_radius is {big}; the tube may have 0.7 of the ring's radius, or the holes would close"
+        )));
     }
-    let circles: Vec<Curve> = (0..count)
-        .map(|k| Curve::Circle { center: [spacing * (k as f64 - 0.5 * (count - 1) as f64), 0.0, 0.0], radius: big })
-        .collect();
+    let circles: Vec<Curve> =
+        (0..count).map(|k| Curve::Circle { center: [spacing * (k as f64 - 0.5 * (count - 1) as f64), 0.0, 0.0], radius: big }).collect();
     tube_union(&circles, tube, resolution, count, control)
 }
 

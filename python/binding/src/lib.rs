@@ -14,7 +14,10 @@ mod _core {
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
     #[pymodule_export]
-    use super::shape::{check_mesh, face_areas};
+    use super::shape::{
+        check_mesh, face_areas, make_cylinder, make_disc, make_ellipsoid, make_flat_torus, make_grid, make_knot, make_star, make_tori,
+        make_torus, oriented_faces, topology,
+    };
     #[pymodule_export]
     use super::threads::{num_threads, set_num_threads};
 }
