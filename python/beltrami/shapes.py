@@ -193,8 +193,8 @@ class TriangleMesh:
         --------
         >>> import beltrami as bt
         >>> print(bt.shapes.torus().report())  # doctest: +ELLIPSIS
-        vertices            2400 in R^3
-        faces               4800
+        vertices              2400 in R^3
+        faces                 4800
         ...
         """
         found = self._topology
@@ -361,7 +361,7 @@ class MeshReport:
             rows.append(("data", ", ".join(self.data)))
         if self.reason is not None:
             rows.append(("note", self.reason))
-        return "\n".join(f"{name:<20}{text}" for name, text in rows)
+        return "\n".join(f"{name:<22}{text}" for name, text in rows)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -46,8 +46,7 @@ pub fn topology<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<Topolog
         let inconsistent = topology.inconsistent_edge().map(|edge| topology.edges()[edge]);
         let one_sided = topology.turned_faces().err().map(|error| error.to_string());
         let loops: Vec<Vec<u32>> = topology.boundary_loops().into_iter().map(|curve| curve.vertices).collect();
-        let counts =
-            (topology.euler_characteristic(), topology.unreferenced_vertices(), topology.degenerate_faces(), topology.is_closed());
+        let counts = (topology.euler_characteristic(), topology.unreferenced_vertices(), topology.degenerate_faces(), topology.is_closed());
         let non_manifold = topology.non_manifold_reason();
         Ok((topology.edges().as_flattened().to_vec(), topology.components(), counts, loops, non_manifold, inconsistent, one_sided))
     })?;
