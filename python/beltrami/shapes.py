@@ -109,9 +109,8 @@ class TriangleMesh:
 
     @cached_property
     def _topology(self) -> _Topology:
-        edges, labels, (components, euler, unreferenced, degenerate, closed), loops, manifold, inconsistent, one_sided, genus = _core.topology(
-            (self.vertices, self.faces)
-        )
+        found = _core.topology((self.vertices, self.faces))
+        edges, labels, (components, euler, unreferenced, degenerate, closed), loops, manifold, inconsistent, one_sided, genus = found
         for array in (edges, labels, *loops):
             array.flags.writeable = False
         pair = None if inconsistent is None else (inconsistent[0], inconsistent[1])
@@ -146,7 +145,7 @@ class TriangleMesh:
     def boundary_loop_vertices(self) -> list[Ints]:
         """The vertices of each boundary curve in order, the surface on the left (of consistently oriented faces).
 
-        Where the mesh is not manifold a curve may end at an edge of more than two faces; others are closed, their first vertex is not repeated.
+        Closed curves do not repeat their first vertex. Where the mesh is not manifold a curve may end at an edge of more than two faces.
         """
         return list(self._topology.loops)
 
