@@ -9,6 +9,7 @@
 //! | [`near`] | neighbours, closest points, rays |
 //! | [`operators`] | stiffness, mass, gradient, divergence |
 //! | [`solvers`] | sparse Cholesky and eigenpairs; they know matrices, never meshes |
+//! | [`view`] | pictures without a display |
 //!
 //! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
 //!
@@ -24,6 +25,7 @@ pub mod shape;
 pub mod solvers;
 pub mod sparse;
 pub mod threads;
+pub mod view;
 
 pub use control::Control;
 pub use error::{Error, Result};

@@ -1,6 +1,7 @@
 """The compiled core. Users call it through the modules of beltrami; stubtest holds this file against the real thing."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,3 +42,17 @@ def make_star(
 # threads
 def num_threads() -> int: ...
 def set_num_threads(count: int) -> None: ...
+
+# view
+def paint(
+    frame: dict[str, Any],
+    camera: dict[str, Any],
+    surface: dict[str, Any] | None,
+    balls: list[tuple[Floats, Floats, npt.NDArray[np.float32], Floats]],
+    lines: tuple[Floats, list[int], list[float], list[tuple[float, float, float, float]]] | None,
+    progress: Callable[[float], object] | None = None,
+) -> npt.NDArray[np.uint8]: ...
+def png(picture: npt.NDArray[np.uint8]) -> bytes: ...
+def strokes(
+    picture: npt.NDArray[np.uint8], groups: list[tuple[Floats, list[int], float, tuple[float, float, float, float]]]
+) -> npt.NDArray[np.uint8]: ...

@@ -6,6 +6,7 @@ mod near;
 mod run;
 mod shape;
 mod threads;
+mod view;
 
 use pyo3::prelude::*;
 
@@ -20,4 +21,6 @@ mod _core {
     };
     #[pymodule_export]
     use super::threads::{num_threads, set_num_threads};
+    #[pymodule_export]
+    use super::view::{paint, png, strokes};
 }
