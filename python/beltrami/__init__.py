@@ -20,6 +20,7 @@ from .errors import (
 )
 from .near import nearest_neighbors, neighbors_within
 from .shapes import PointCloud, TriangleMesh
+from .view import Page, Picture, plot
 
 __version__ = "0.1.0"
 
@@ -32,6 +33,8 @@ __all__ = [
     "InputError",
     "InternalError",
     "NumericalError",
+    "Page",
+    "Picture",
     "PointCloud",
     "TopologyError",
     "TriangleMesh",
@@ -39,6 +42,7 @@ __all__ = [
     "nearest_neighbors",
     "neighbors_within",
     "num_threads",
+    "plot",
     "set_num_threads",
     "shapes",
 ]

@@ -19,6 +19,14 @@ _VIRIDIS = "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26818e 21908c 1f9f8
 _MAGMA = "000004 0a0822 1d1146 36106a 50127c 691c81 822681 9c2e7f b63779 cf4170 e65163 f5695c fb8761 fea571 fec387 fde0a2 fcfdbf"
 _CATEGORIES = "3f6fb5 f0953f 4ea66b d1495b 8f6bb8 37b2c4 e3c04a 9a6a4f ef8fb4 7d8b99 a5c955 2f4858"
 
+_CONES_TO_RGB = np.array(
+    [
+        [4.0767416621, -1.2684380046, -0.0041960863],
+        [-3.3077115913, 2.6097574011, -0.7034186147],
+        [0.2309699292, -0.3413193965, 1.7076147010],
+    ]
+)
+
 NAMES = ("viridis", "magma", "balance", "phase", "grey", "categories")
 
 
@@ -26,9 +34,17 @@ def _oklab(lightness: npt.ArrayLike, chroma: npt.ArrayLike, hue: npt.ArrayLike) 
     """sRGB of Oklab's lightness, chroma and hue (radians)."""
     light, chroma, hue = np.broadcast_arrays(np.asarray(lightness, float), np.asarray(chroma, float), np.asarray(hue, float))
     a, b = chroma * np.cos(hue), chroma * np.sin(hue)
-    cones = np.stack([light + 0.3963377774 * a + 0.2158037573 * b, light - 0.1055613458 * a - 0.0638541728 * b, light - 0.0894841775 * a - 1.2914855480 * b], -1) ** 3
-    linear = np.clip(cones @ np.array([[4.0767416621, -1.2684380046, -0.0041960863], [-3.3077115913, 2.6097574011, -0.7034186147], [0.2309699292, -0.3413193965, 1.7076147010]]), 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    cones = np.stack(
+        [
+            light + 0.3963377774 * a + 0.2158037573 * b,
+            light - 0.1055613458 * a - 0.0638541728 * b,
+            light - 0.0894841775 * a - 1.2914855480 * b,
+        ],
+        axis=-1,
+    )
+    linear = np.clip(cones**3 @ _CONES_TO_RGB, 0, 1)
+    screen: Colours = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return screen
 
 
 def _hex(text: str) -> tuple[float, float, float]:
@@ -65,8 +81,8 @@ def table(name: str | Sequence[Any] | npt.NDArray[Any], count: int = 256) -> Col
     Parameters
     ----------
     name : str or sequence of colours
-        One of ``viridis``, ``magma`` (sequential), ``balance`` (diverging), ``phase`` (cyclic), ``grey``; any of them with ``_r`` at the end runs
-        backwards; ``categories`` for labels; a matplotlib name where matplotlib is installed; or a list of colours.
+        One of ``viridis``, ``magma`` (sequential), ``balance`` (diverging), ``phase`` (cyclic), ``grey``; any of them with ``_r`` at the
+        end runs backwards; ``categories`` for labels; a matplotlib name where matplotlib is installed; or a list of colours.
     """
     if not isinstance(name, str):
         return _spread(name, count)
@@ -82,7 +98,8 @@ def table(name: str | Sequence[Any] | npt.NDArray[Any], count: int = 256) -> Col
         side = np.linspace(-1, 1, count)
         # Lightness falls alike on both sides; chroma rises from the white middle and stays inside the screen's gamut.
         far = np.abs(side)
-        return _oklab(0.965 - 0.52 * far**1.25, 0.165 * np.sin(np.minimum(1.25 * far, 1) * np.pi / 2) * (1 - 0.18 * far**3), np.where(side < 0, 4.48, 0.50))
+        chroma = 0.165 * np.sin(np.minimum(1.25 * far, 1) * np.pi / 2) * (1 - 0.18 * far**3)
+        return _oklab(0.965 - 0.52 * far**1.25, chroma, np.where(side < 0, 4.48, 0.50))
     if name == "phase":
         turn = np.linspace(0, 2 * np.pi, count)
         return _oklab(0.68 + 0.06 * np.cos(turn), 0.125, turn + 0.5)
@@ -93,7 +110,8 @@ def table(name: str | Sequence[Any] | npt.NDArray[Any], count: int = 256) -> Col
 
         return np.asarray(mpl.colormaps[name](np.linspace(0, 1, count)), float)[:, :3]
     except (ImportError, KeyError):
-        raise InputError(f"no colour map is called {name!r}; choose from {', '.join(NAMES)} (matplotlib's are known where it is installed), or give a list of colours") from None
+        remedy = f"choose from {', '.join(NAMES)} (matplotlib's are known where it is installed), or give a list of colours"
+        raise InputError(f"no colour map is called {name!r}; {remedy}") from None
 
 
 def categories(count: int) -> Colours:

@@ -34,7 +34,8 @@ _GLYPHS = {
     "p": f"M 0 5 L 0 -2 {_ROUND.replace('A', 'N')}",
     "q": f"{_ROUND} M 4.2 5 L 4.2 -2",
     "r": "M 0 5 L 0 0 M 0 3 A 2 3 2 2 180 78",
-    "s": "M 3.5 4.2 C 3.1 4.75 2.5 5 1.85 5 C .9 5 .2 4.5 .2 3.7 C .2 2.9 .9 2.7 1.9 2.5 C 2.9 2.3 3.7 2.1 3.7 1.3 C 3.7 .5 2.9 0 1.9 0 C 1.1 0 .4 .3 0 .9",
+    "s": "M 3.5 4.2 C 3.1 4.75 2.5 5 1.85 5 C .9 5 .2 4.5 .2 3.7 C .2 2.9 .9 2.7 1.9 2.5 "
+    "C 2.9 2.3 3.7 2.1 3.7 1.3 C 3.7 .5 2.9 0 1.9 0 C 1.1 0 .4 .3 0 .9",
     "t": "M 1 6.6 L 1 1.4 A 2.3 1.4 1.3 1.4 180 270 L 2.6 0 M 0 5 L 2.5 5",
     "u": "M 0 5 L 0 2 A 2 2 2 2 180 360 L 4 5 M 4 2 L 4 0",
     "v": "M 0 5 L 2 0 L 4 5",
@@ -60,7 +61,8 @@ _GLYPHS = {
     "P": "M 0 0 L 0 7 L 2.4 7 A 2.4 5 2 2 90 -90 L 0 3",
     "Q": "A 3.1 3.5 3.1 3.5 0 360 M 3.7 1.8 L 5.9 -0.5",
     "R": "M 0 0 L 0 7 L 2.4 7 A 2.4 5 2 2 90 -90 L 0 3 M 2.4 3 L 4.6 0",
-    "S": "M 4.4 5.9 C 3.9 6.6 3.2 7 2.3 7 C 1.1 7 .3 6.3 .3 5.2 C .3 4.1 1.2 3.85 2.4 3.5 C 3.7 3.15 4.6 2.8 4.6 1.75 C 4.6 .6 3.6 0 2.4 0 C 1.3 0 .4 .45 0 1.2",
+    "S": "M 4.4 5.9 C 3.9 6.6 3.2 7 2.3 7 C 1.1 7 .3 6.3 .3 5.2 C .3 4.1 1.2 3.85 2.4 3.5 "
+    "C 3.7 3.15 4.6 2.8 4.6 1.75 C 4.6 .6 3.6 0 2.4 0 C 1.3 0 .4 .45 0 1.2",
     "T": "M 0 7 L 4.8 7 M 2.4 7 L 2.4 0",
     "U": "M 0 7 L 0 2.4 A 2.4 2.4 2.4 2.4 180 360 L 4.8 7",
     "V": "M 0 7 L 2.6 0 L 5.2 7",
@@ -203,7 +205,7 @@ def width(text: str, size: float) -> float:
 
 
 def strokes(text: str, x: float, y: float, size: float, align: str = "left") -> tuple[Points, list[int]]:
-    """The strokes of one line of text: points (k, 2) in pixels (y downwards) and the starts of the polylines; (x, y) lies on the baseline."""
+    """The strokes of one line of text whose baseline (x, y) lies on: points (k, 2) in pixels (y downwards), starts of the polylines."""
     pen = x - width(text, size) * {"left": 0.0, "middle": 0.5, "right": 1.0}[align]
     unit = size / 10
     points: list[Points] = []

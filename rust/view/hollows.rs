@@ -6,7 +6,7 @@ use crate::error::Result;
 use rayon::prelude::*;
 
 const TAPS: usize = 24;
-const STRENGTH: f32 = 1.15;
+const STRENGTH: f32 = 2.3;
 
 /// A number from 0 to 1 for each pixel, spread evenly over neighbours (interleaved gradient noise, Jimenez 2014).
 fn noise(x: usize, y: usize) -> f32 {
@@ -46,7 +46,7 @@ pub(super) fn openness(pixels: &[Pixel], width: usize, height: usize, scale: f64
                 let fade = 1.0 - (way[2].abs() / (1.5 * reach)).min(1.0);
                 hidden += (rise - 0.12).max(0.0) * fade;
             }
-            *out = (1.0 - STRENGTH * hidden / TAPS as f32 * 1.6).max(0.25);
+            *out = (1.0 - STRENGTH * hidden / TAPS as f32).max(0.2);
         }
         Ok(())
     })?;

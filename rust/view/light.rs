@@ -46,8 +46,8 @@ pub(super) fn lit(colour: Rgb, normal: [f32; 3]) -> Rgb {
     const LAMP: [f32; 3] = [-0.408_25, 0.563_1, 0.718_5];
     const HALF: [f32; 3] = [-0.220_2, 0.303_7, 0.927_0];
     const FILL: [f32; 3] = [0.872_9, -0.087_3, 0.480_1];
-    let sky = 0.34 + 0.12 * normal[1];
-    let lamp = 0.62 * ((dot(normal, LAMP) + 0.22) / 1.22).max(0.0);
+    let sky = 0.37 + 0.12 * normal[1];
+    let lamp = 0.64 * ((dot(normal, LAMP) + 0.22) / 1.22).max(0.0);
     let fill = 0.13 * dot(normal, FILL).max(0.0);
     let light = sky + lamp + fill;
     let gloss = dot(normal, HALF).max(0.0).powi(48) * 0.07;

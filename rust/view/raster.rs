@@ -249,10 +249,11 @@ impl PreparedSurface<'_> {
             colour = lit(colour, normal);
         }
         if self.surface.transparency > 0.0 {
-            // Glass: clear where it faces the eye, denser towards the outline.
+            // Glass: clear where it faces the eye, denser and darker towards the outline.
             let clear = self.surface.transparency as f32;
-            let grazing = (1.0 - normal[2]).powi(2);
-            opacity *= (1.0 - clear) + clear * 0.75 * grazing;
+            let grazing = (1.0 - normal[2]).powf(1.6);
+            opacity *= (1.0 - clear) + clear * 0.85 * grazing;
+            colour = colour.map(|c| c * (1.0 - 0.6 * clear * grazing));
         }
         Some(Seen { colour, opacity, normal })
     }
