@@ -1,1 +1,7 @@
 //! Discrete operators of a shape: stiffness, mass, gradient, divergence.
+//!
+//! The stiffness L is positive semidefinite, its rows sum to zero; Laplace-Beltrami is -diag(mass)^-1 L.
+
+pub mod cotangent;
+
+pub use cotangent::{MeshOperators, cotangent_operators, divergence, galerkin_mass, gradient, voronoi_mass};
