@@ -154,6 +154,74 @@ impl Csr {
         Ok(out)
     }
 
+    /// The square matrix with these numbers on its diagonal.
+    pub fn from_diagonal(numbers: &[f64]) -> Csr {
+        let n = numbers.len();
+        Csr { rows: n, columns: n, starts: (0..=n).collect(), indices: (0..n as u32).collect(), values: numbers.to_vec() }
+    }
+
+    /// `a A + b B`; an entry that either matrix has is there, even if it is 0.
+    ///
+    /// ```
+    /// use beltrami::Csr;
+    /// let (a, b) = (Csr::new(1, 2, vec![0, 1], vec![1], vec![2.0])?, Csr::new(1, 2, vec![0, 1], vec![0], vec![3.0])?);
+    /// assert_eq!(a.combine(1.0, &b, 10.0)?.row(0), (&[0, 1][..], &[30.0, 2.0][..]));
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the sizes differ; [`Error::Numerical`] if an entry overflows.
+    pub fn combine(&self, a: f64, other: &Csr, b: f64) -> Result<Csr> {
+        if (self.rows, self.columns) != (other.rows, other.columns) {
+            return Err(Error::input(format!(
+                "a {} x {} matrix and a {} x {} matrix cannot be added",
+                self.rows, self.columns, other.rows, other.columns
+            )));
+        }
+        let parts: Vec<(Vec<usize>, Vec<u32>, Vec<f64>)> = (0..self.rows.div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| {
+                let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(self.rows);
+                let room = self.starts[rows.end] - self.starts[rows.start] + other.starts[rows.end] - other.starts[rows.start];
+                let (mut lengths, mut indices, mut values) = (Vec::with_capacity(CHUNK), Vec::with_capacity(room), Vec::with_capacity(room));
+                for row in rows {
+                    let ((left, left_values), (right, right_values)) = (self.row(row), other.row(row));
+                    let (mut i, mut j, first) = (0, 0, indices.len());
+                    while i < left.len() || j < right.len() {
+                        let (l, r) = (left.get(i).copied().unwrap_or(u32::MAX), right.get(j).copied().unwrap_or(u32::MAX));
+                        let mut value = 0.0;
+                        if l <= r {
+                            value += a * left_values[i];
+                            i += 1;
+                        }
+                        if r <= l {
+                            value += b * right_values[j];
+                            j += 1;
+                        }
+                        indices.push(l.min(r));
+                        values.push(value);
+                    }
+                    lengths.push(indices.len() - first);
+                }
+                (lengths, indices, values)
+            })
+            .collect();
+        let mut starts = Vec::with_capacity(self.rows + 1);
+        starts.push(0);
+        let (mut indices, mut values) = (Vec::new(), Vec::new());
+        for (lengths, part_indices, part_values) in parts {
+            for length in lengths {
+                starts.push(starts[starts.len() - 1] + length);
+            }
+            indices.extend(part_indices);
+            values.extend(part_values);
+        }
+        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+            return Err(Error::numerical(format!("a sum of two matrices overflows: an entry in column {} is {}; rescale them", indices[at], values[at])));
+        }
+        Ok(Csr { rows: self.rows, columns: self.columns, starts, indices, values })
+    }
+
     /// The transposed matrix.
     pub fn transpose(&self) -> Csr {
         let mut starts = vec![0; self.columns + 1];

@@ -1,0 +1,184 @@
+"""Discrete operators of a shape: stiffness, mass, gradient, divergence, Laplacian. A mesh and a cloud both make them, and every
+method takes them, so that a method is written once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import scipy.sparse as sparse
+
+from . import _core, arrays
+from .arrays import Floats, Ints
+from .errors import InputError
+from .shapes import PointCloud, Shape, TriangleMesh
+
+Laplacian = Literal["auto", "cotangent", "intrinsic_delaunay", "tufted", "local_mesh", "mls"]
+Mass = Literal["lumped", "voronoi"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Operators:
+    """Operators of a shape with n vertices or points. Made by :func:`operators`.
+
+    Attributes
+    ----------
+    shape : TriangleMesh or PointCloud
+        What they belong to.
+    kind : str
+        The Laplacian that was built: what ``"auto"`` chose.
+    stiffness : scipy.sparse.csr_array (n, n)
+        L, positive semidefinite, symmetric to the last bit; rows sum to zero. Dimensionless for surfaces.
+    mass : ndarray (n,)
+        Lumped areas, in squared units of length; 0 at vertices of no triangle.
+    spacing : float
+        Mean length of the edges.
+    notes : tuple of str
+        What is worth knowing about how they were made.
+    """
+
+    shape: Shape
+    kind: str
+    stiffness: sparse.csr_array
+    mass: Floats
+    spacing: float
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
+
+    def __repr__(self) -> str:
+        return f"Operators({self.kind}, n = {len(self.mass)}, {self.stiffness.nnz} entries, spacing {self.spacing:.4g})"
+
+    @property
+    def coordinates(self) -> Floats:
+        """Positions of the unknowns, (n, D): solvers use them for a good order of elimination."""
+        return self.shape.points if isinstance(self.shape, PointCloud) else self.shape.vertices
+
+    @cached_property
+    def laplacian(self) -> sparse.csr_array:
+        """Laplace-Beltrami, (n, n): ``-diag(mass)^-1 stiffness``, negative semidefinite. Empty rows where the mass is 0."""
+        inverse = np.divide(-1.0, self.mass, out=np.zeros_like(self.mass), where=self.mass > 0)
+        rows = np.repeat(inverse, np.diff(self.stiffness.indptr))
+        return arrays.csr_out((self.stiffness.data * rows, self.stiffness.indices, self.stiffness.indptr), self.stiffness.shape)
+
+    @cached_property
+    def gradient(self) -> sparse.csr_array:
+        """G, (m D, n): ``(G @ f).reshape(m, D)`` has the tangent vector of ``f`` on each triangle."""
+        raise NotImplementedError  # each kind has its own
+
+    @cached_property
+    def divergence(self) -> sparse.csr_array:
+        """(n, m D): the exact negative adjoint of the gradient in the area and mass inner products."""
+        raise NotImplementedError  # each kind has its own
+
+    @cached_property
+    def element_areas(self) -> Floats:
+        """(m,): areas of the triangles that the gradient lives on."""
+        raise NotImplementedError  # each kind has its own
+
+    @cached_property
+    def component_labels(self) -> Ints:
+        """(n,): number of the connected component of each vertex, by the pattern of the stiffness."""
+        from scipy.sparse.csgraph import connected_components
+
+        return np.asarray(connected_components(self.stiffness, directed=False)[1], np.int32)
+
+    @cached_property
+    def component_masses(self) -> Floats:
+        """Total mass of each component."""
+        return np.bincount(self.component_labels, weights=self.mass)
+
+
+class MeshOperators(Operators):
+    """Operators with the triangles of the mesh itself as elements (cotangent weights)."""
+
+    shape: TriangleMesh
+
+    @cached_property
+    def gradient(self) -> sparse.csr_array:
+        """G, (m D, n): ``(G @ f).reshape(m, D)`` has the tangent vector of ``f`` on each triangle."""
+        count = len(self.shape.faces) * self.shape.dimension
+        return arrays.csr_out(_core.gradient((self.shape.vertices, self.shape.faces)), (count, len(self.mass)))
+
+    @cached_property
+    def divergence(self) -> sparse.csr_array:
+        """(n, m D): ``-diag(mass)^-1 G^T diag(area)``; empty rows where the mass is 0."""
+        count = len(self.shape.faces) * self.shape.dimension
+        return arrays.csr_out(_core.divergence((self.shape.vertices, self.shape.faces), self.mass), (len(self.mass), count))
+
+    @cached_property
+    def element_areas(self) -> Floats:
+        """(m,): areas of the triangles."""
+        return self.shape.face_areas
+
+    @cached_property
+    def galerkin_mass(self) -> sparse.csr_array:
+        """The consistent mass matrix, (n, n)."""
+        n = len(self.mass)
+        return arrays.csr_out(_core.galerkin_mass((self.shape.vertices, self.shape.faces)), (n, n))
+
+
+def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: Mass = "lumped", **options: Any) -> Operators:
+    """Stiffness, mass, gradient and divergence of a shape.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+        Operators come back as they are.
+    laplacian : {"auto", "cotangent", "intrinsic_delaunay", "tufted", "local_mesh", "mls"}
+        ``"cotangent"``: linear finite elements on the mesh's own triangles. ``"auto"`` takes it wherever the triangles allow it,
+        and says in ``notes`` where it took another.
+    mass : {"lumped", "voronoi"}
+        A third of the adjacent areas at each vertex, or mixed Voronoi areas (Meyer et al. 2003). Both sum to the area.
+    **options
+        Further options of the point-cloud Laplacians.
+
+    Returns
+    -------
+    Operators
+
+    Raises
+    ------
+    InputError
+        The shape has no triangles, a triangle is degenerate (the message names it), or its size is out of range.
+
+    References
+    ----------
+    Pinkall and Polthier, Computing discrete minimal surfaces and their conjugates, 1993.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> ops = bt.operators(bt.shapes.sphere(3))
+    >>> bool(abs(ops.stiffness @ np.ones(len(ops.mass))).max() < 1e-12)
+    True
+    """
+    if isinstance(shape, Operators):
+        return shape
+    if not isinstance(shape, TriangleMesh | PointCloud):
+        raise InputError(f"shape is a {type(shape).__name__}; a TriangleMesh, a PointCloud or Operators is needed (bt.load makes them)")
+    family = _MESH if isinstance(shape, TriangleMesh) else _CLOUD
+    if mass not in ("lumped", "voronoi"):
+        raise InputError(f"mass is {mass!r}; choose 'lumped' or 'voronoi'")
+    build = family.get(laplacian) if isinstance(laplacian, str) else None
+    if build is None:
+        raise InputError(f"laplacian is {laplacian!r}; for a {type(shape).__name__} choose one of {', '.join(map(repr, family))}")
+    return build(shape, mass, options)
+
+
+def _no_options(options: dict[str, Any], kind: str) -> None:
+    if options:
+        raise InputError(f"{', '.join(options)}: no option of laplacian={kind!r}")
+
+
+def _cotangent(shape: Any, mass: str, options: dict[str, Any]) -> Operators:
+    _no_options(options, "cotangent")
+    parts, masses, spacing = _core.cotangent_operators((shape.vertices, shape.faces), mass == "voronoi")
+    n = len(masses)
+    return MeshOperators(shape, "cotangent", arrays.csr_out(parts, (n, n)), masses, spacing)
+
+
+_Builder = Callable[[Any, str, dict[str, Any]], Operators]
+_MESH: dict[str, _Builder] = {"auto": _cotangent, "cotangent": _cotangent}
+_CLOUD: dict[str, _Builder] = {}
