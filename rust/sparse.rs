@@ -183,7 +183,8 @@ impl Csr {
             .map(|chunk| {
                 let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(self.rows);
                 let room = self.starts[rows.end] - self.starts[rows.start] + other.starts[rows.end] - other.starts[rows.start];
-                let (mut lengths, mut indices, mut values) = (Vec::with_capacity(CHUNK), Vec::with_capacity(room), Vec::with_capacity(room));
+                let (mut lengths, mut indices, mut values) =
+                    (Vec::with_capacity(CHUNK), Vec::with_capacity(room), Vec::with_capacity(room));
                 for row in rows {
                     let ((left, left_values), (right, right_values)) = (self.row(row), other.row(row));
                     let (mut i, mut j, first) = (0, 0, indices.len());
@@ -217,7 +218,10 @@ impl Csr {
             values.extend(part_values);
         }
         if let Some(at) = values.iter().position(|value| !value.is_finite()) {
-            return Err(Error::numerical(format!("a sum of two matrices overflows: an entry in column {} is {}; rescale them", indices[at], values[at])));
+            return Err(Error::numerical(format!(
+                "a sum of two matrices overflows: an entry in column {} is {}; rescale them",
+                indices[at], values[at]
+            )));
         }
         Ok(Csr { rows: self.rows, columns: self.columns, starts, indices, values })
     }

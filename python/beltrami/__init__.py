@@ -19,6 +19,7 @@ from .errors import (
     TopologyError,
 )
 from .near import nearest_neighbors, neighbors_within
+from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
 from .view import Page, Picture, plot
 
@@ -33,6 +34,7 @@ __all__ = [
     "InputError",
     "InternalError",
     "NumericalError",
+    "Operators",
     "Page",
     "Picture",
     "PointCloud",
@@ -42,6 +44,7 @@ __all__ = [
     "nearest_neighbors",
     "neighbors_within",
     "num_threads",
+    "operators",
     "plot",
     "set_num_threads",
     "shapes",

@@ -10,6 +10,8 @@ from .arrays import CsrArrays as CsrArrays
 from .arrays import Floats as Floats
 from .arrays import Ints as Ints
 
+CsrParts = tuple[Floats, npt.NDArray[np.integer], npt.NDArray[np.integer]]
+
 # near
 def nearest_neighbors(
     points: Floats, queries: Floats, wanted: int, progress: Callable[[float], object] | None = None
@@ -17,6 +19,12 @@ def nearest_neighbors(
 def neighbors_within(
     points: Floats, queries: Floats, radius: float, progress: Callable[[float], object] | None = None
 ) -> tuple[npt.NDArray[np.int64], Ints, Floats]: ...
+
+# operators
+def cotangent_operators(mesh: tuple[Floats, Ints], voronoi: bool) -> tuple[CsrParts, Floats, float]: ...
+def gradient(mesh: tuple[Floats, Ints]) -> CsrParts: ...
+def divergence(mesh: tuple[Floats, Ints], mass: Floats) -> CsrParts: ...
+def galerkin_mass(mesh: tuple[Floats, Ints]) -> CsrParts: ...
 
 # shape
 def check_mesh(mesh: tuple[Floats, Ints]) -> None: ...

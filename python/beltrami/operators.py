@@ -3,6 +3,7 @@ method takes them, so that a method is written once."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,7 +22,7 @@ Mass = Literal["lumped", "voronoi"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Operators:
+class Operators(ABC):
     """Operators of a shape with n vertices or points. Made by :func:`operators`.
 
     Attributes
@@ -62,20 +63,20 @@ class Operators:
         rows = np.repeat(inverse, np.diff(self.stiffness.indptr))
         return arrays.csr_out((self.stiffness.data * rows, self.stiffness.indices, self.stiffness.indptr), self.stiffness.shape)
 
-    @cached_property
+    @property
+    @abstractmethod
     def gradient(self) -> sparse.csr_array:
         """G, (m D, n): ``(G @ f).reshape(m, D)`` has the tangent vector of ``f`` on each triangle."""
-        raise NotImplementedError  # each kind has its own
 
-    @cached_property
+    @property
+    @abstractmethod
     def divergence(self) -> sparse.csr_array:
         """(n, m D): the exact negative adjoint of the gradient in the area and mass inner products."""
-        raise NotImplementedError  # each kind has its own
 
-    @cached_property
+    @property
+    @abstractmethod
     def element_areas(self) -> Floats:
         """(m,): areas of the triangles that the gradient lives on."""
-        raise NotImplementedError  # each kind has its own
 
     @cached_property
     def component_labels(self) -> Ints:
@@ -87,7 +88,7 @@ class Operators:
     @cached_property
     def component_masses(self) -> Floats:
         """Total mass of each component."""
-        return np.bincount(self.component_labels, weights=self.mass)
+        return np.bincount(self.component_labels, weights=self.mass).astype(np.float64)
 
 
 class MeshOperators(Operators):

@@ -132,7 +132,8 @@ fn assemble(corners: &Corners, diagonal: bool, entries: impl Fn(u32, &mut Vec<(u
         .into_par_iter()
         .map(|chunk| {
             let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(count);
-            let (mut lengths, mut indices, mut values) = (Vec::with_capacity(CHUNK), Vec::with_capacity(8 * CHUNK), Vec::with_capacity(8 * CHUNK));
+            let (mut lengths, mut indices, mut values) =
+                (Vec::with_capacity(CHUNK), Vec::with_capacity(8 * CHUNK), Vec::with_capacity(8 * CHUNK));
             let mut row = Vec::new();
             for vertex in rows {
                 row.clear();
@@ -335,7 +336,8 @@ pub fn divergence(mesh: &TriangleMesh, mass: &[f64]) -> Result<Csr> {
             corners.of(vertex).iter().flat_map(move |&corner| {
                 let (face, at) = (corner as usize / 3, corner as usize % 3);
                 let factor = if mass > 0.0 { -elements[face].area / mass } else { 0.0 };
-                (0..dimension).map(move |axis| ((face * dimension + axis) as u32, factor * hat_gradient(mesh, &elements[face], face, at, axis)))
+                (0..dimension)
+                    .map(move |axis| ((face * dimension + axis) as u32, factor * hat_gradient(mesh, &elements[face], face, at, axis)))
             })
         })
         .collect();

@@ -3,6 +3,7 @@
 mod convert;
 mod error;
 mod near;
+mod operators;
 mod run;
 mod shape;
 mod threads;
@@ -14,6 +15,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
+    #[pymodule_export]
+    use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient};
     #[pymodule_export]
     use super::shape::{
         check_mesh, face_areas, make_cylinder, make_disc, make_ellipsoid, make_flat_torus, make_grid, make_knot, make_star, make_tori,

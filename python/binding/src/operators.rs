@@ -8,7 +8,11 @@ use pyo3::prelude::*;
 
 /// Cotangent stiffness, mass (lumped, or mixed Voronoi areas) and mean edge length.
 #[pyfunction]
-pub fn cotangent_operators<'py>(py: Python<'py>, mesh: MeshArrays<'py>, voronoi: bool) -> PyResult<(CsrParts<'py>, Bound<'py, PyArray1<f64>>, f64)> {
+pub fn cotangent_operators<'py>(
+    py: Python<'py>,
+    mesh: MeshArrays<'py>,
+    voronoi: bool,
+) -> PyResult<(CsrParts<'py>, Bound<'py, PyArray1<f64>>, f64)> {
     let mesh = mesh.mesh()?;
     let found = run::watched(py, None, |_| {
         let mut found = operators::cotangent_operators(&mesh)?;
