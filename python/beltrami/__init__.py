@@ -22,11 +22,13 @@ from .near import nearest_neighbors, neighbors_within
 from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
 from .view import Page, Picture, plot
+from .solvers import Cholesky
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Cancelled",
+    "Cholesky",
     "ConvergenceError",
     "DependencyError",
     "Error",

@@ -1,1 +1,10 @@
 //! Solvers: sparse Cholesky and eigenpairs. They know matrices, never meshes.
+
+mod cholesky;
+mod dense;
+mod ordering;
+mod sweep;
+mod symbolic;
+
+pub use cholesky::{Cholesky, Scratch};
+pub use symbolic::Symbolic;

@@ -1,5 +1,6 @@
 //! Binding of beltrami for Python: one export list. Each function converts, releases the GIL, calls the core, wraps.
 
+mod cholesky;
 mod convert;
 mod error;
 mod near;
@@ -13,6 +14,8 @@ use pyo3::prelude::*;
 
 #[pymodule]
 mod _core {
+    #[pymodule_export]
+    use super::cholesky::Cholesky;
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
     #[pymodule_export]
