@@ -195,15 +195,30 @@ fn by_distances(starts: &[usize], indices: &[u32], control: &Control) -> Result<
             }
         }
         for &vertex in &members {
-            // Distances are whole numbers: blend the three a little, so that ties along one are broken by the others.
-            let [x, y, z] = points[vertex as usize];
-            points[vertex as usize] = [x + shift + 1e-3 * y + 1e-6 * z, y + 1e-3 * z + 1e-6 * x, z + 1e-3 * x + 1e-6 * y];
+            points[vertex as usize][0] += shift;
             found[vertex as usize] = 0;
         }
         shift += f64::from(reach) + 2.0;
         longest = longest.max(reach);
     }
-    Ok((longest >= 12 || shift > 0.5 * n as f64).then_some(points))
+    if longest < 12 && shift < 0.5 * n as f64 {
+        return Ok(None);
+    }
+    // Distances are whole numbers: averages over neighbours part what ties.
+    for _ in 0..3 {
+        control.check()?;
+        points = (0..n)
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .map(|vertex| {
+                let near = &indices[starts[vertex]..starts[vertex + 1]];
+                let mut sum = points[vertex];
+                near.iter().for_each(|&other| (0..3).for_each(|axis| sum[axis] += points[other as usize][axis]));
+                sum.map(|x| x / (near.len() + 1) as f64)
+            })
+            .collect();
+    }
+    Ok(Some(points))
 }
 
 /// Interleaves the bits of a point of a grid of 2^20 cells a side.
@@ -281,6 +296,10 @@ fn dissect(graph: Graph, whole: &Graph, out: &mut [u32], control: &Control) -> R
         control.check()?;
     }
     let Some(side) = cut(&graph) else {
+        let mut graph = graph;
+        for vertex in 0..count {
+            graph.neighbors[graph.starts[vertex]..graph.starts[vertex + 1]].sort_unstable();
+        }
         for (out, at) in out.iter_mut().zip(minimum_degree(&graph.starts, &graph.neighbors)?) {
             *out = graph.names[at as usize];
         }
