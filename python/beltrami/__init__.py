@@ -21,8 +21,8 @@ from .errors import (
 from .near import nearest_neighbors, neighbors_within
 from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
-from .view import Page, Picture, plot
 from .solvers import Cholesky
+from .view import Page, Picture, plot
 
 __version__ = "0.1.0"
 

@@ -1,7 +1,6 @@
 """The compiled core. Users call it through the modules of beltrami; stubtest holds this file against the real thing."""
 
 from collections.abc import Callable
-from typing import Any
 from typing import Any, final
 
 import numpy as np
