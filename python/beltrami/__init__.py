@@ -18,6 +18,7 @@ from .errors import (
     NumericalError,
     TopologyError,
 )
+from .files import load, save
 from .near import nearest_neighbors, neighbors_within
 from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
@@ -43,11 +44,13 @@ __all__ = [
     "TopologyError",
     "TriangleMesh",
     "__version__",
+    "load",
     "nearest_neighbors",
     "neighbors_within",
     "num_threads",
     "operators",
     "plot",
+    "save",
     "set_num_threads",
     "shapes",
 ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from typing import Any, final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,26 @@ from .arrays import Floats as Floats
 from .arrays import Ints as Ints
 
 CsrParts = tuple[Floats, npt.NDArray[np.integer], npt.NDArray[np.integer]]
+# io
+def load_file(
+    path: str, format: str | None, weld: bool | None, progress: Callable[[float], object] | None
+) -> tuple[Floats, Ints, list[tuple[str, npt.NDArray[Any]]]]: ...
+def load_bytes(
+    bytes: bytes, name: str, format: str | None, weld: bool | None, progress: Callable[[float], object] | None
+) -> tuple[Floats, Ints, list[tuple[str, npt.NDArray[Any]]]]: ...
+def save_file(
+    path: str,
+    vertices: Floats,
+    faces: Ints,
+    data: list[tuple[str, npt.NDArray[Any]]],
+    format: str | None,
+    ascii: bool,
+    progress: Callable[[float], object] | None,
+) -> list[str]: ...
+def triangulate(vertices: Floats, sizes: npt.NDArray[np.int64], corners: Ints) -> Ints: ...
+def weld(
+    vertices: Floats, faces: Ints, data: list[tuple[str, npt.NDArray[Any]]]
+) -> tuple[Floats, Ints, list[tuple[str, npt.NDArray[Any]]]]: ...
 
 # near
 def nearest_neighbors(

@@ -76,6 +76,40 @@ class TriangleMesh:
         object.__setattr__(self, "faces", arrays.frozen(faces, self.faces))
         object.__setattr__(self, "data", _frozen_data(self.data, len(vertices), "vertex"))
 
+    @classmethod
+    def _trusted(cls, vertices: Floats, faces: Ints, data: dict[str, npt.NDArray[Any]]) -> TriangleMesh:
+        """A mesh on arrays that are checked, read-only and nobody else's: a reader of files does not copy them again."""
+        mesh = object.__new__(cls)
+        for name, value in (("vertices", vertices), ("faces", faces), ("data", MappingProxyType(data))):
+            object.__setattr__(mesh, name, value)
+        return mesh
+
+    def to_trimesh(self) -> Any:
+        """The mesh as a ``trimesh.Trimesh``: vertices and faces in order, ``data["colors"]`` as colours, other data as attributes.
+
+        Raises
+        ------
+        InputError
+            The mesh lies in R^D with D > 3.
+        """
+        from .files import to_trimesh
+
+        return to_trimesh(self)
+
+    def to_pyvista(self) -> Any:
+        """The mesh as a ``pyvista.PolyData`` with its data.
+
+        Raises
+        ------
+        DependencyError
+            pyvista is missing.
+        InputError
+            The mesh lies in R^D with D > 3.
+        """
+        from .files import to_pyvista
+
+        return to_pyvista(self)
+
     def __repr__(self) -> str:
         return f"TriangleMesh({len(self.vertices)} vertices in R^{self.dimension}, {len(self.faces)} faces)"
 
@@ -415,6 +449,32 @@ class PointCloud:
                 raise InputError(f"weights[{at}] is {weights[at]:g}; weights must be positive")
             set_(self, "weights", arrays.frozen(weights, self.weights))
         set_(self, "data", _frozen_data(self.data, count, "point"))
+
+    def to_trimesh(self) -> Any:
+        """The points as a ``trimesh.PointCloud``, ``data["colors"]`` as colours.
+
+        Raises
+        ------
+        InputError
+            The points lie in R^D with D > 3.
+        """
+        from .files import to_trimesh
+
+        return to_trimesh(self)
+
+    def to_pyvista(self) -> Any:
+        """The points as a ``pyvista.PolyData`` with their data, normals and weights.
+
+        Raises
+        ------
+        DependencyError
+            pyvista is missing.
+        InputError
+            The points lie in R^D with D > 3.
+        """
+        from .files import to_pyvista
+
+        return to_pyvista(self)
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self.points)} points of a {self.dimension}-dimensional surface in R^{self.points.shape[1]})"

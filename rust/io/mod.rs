@@ -274,6 +274,32 @@ pub fn write(path: &Path, shape: &Geometry<'_>, writing: Writing, control: &Cont
     write::write(path, shape, writing, control).map_err(|stop| stop.within(path))
 }
 
+/// The shape with one vertex a position: the first of each in order, with its data. Minus zero counts as zero.
+///
+/// ```
+/// use beltrami::io::{Geometry, weld};
+/// let vertices = vec![0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 1.0];
+/// let soup = Geometry { dimension: 2, vertices: vertices.into(), faces: vec![[0, 1, 2], [3, 4, 5]].into(), data: vec![] };
+/// let square = weld(soup, &beltrami::Control::default())?;
+/// assert_eq!((square.vertex_count(), &square.faces[..]), (4, &[[0, 1, 2], [2, 1, 3]][..]));
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Input`] if the shape's arrays do not fit each other; [`Error::Cancelled`].
+pub fn weld<'a>(shape: Geometry<'a>, control: &Control) -> Result<Geometry<'a>> {
+    shape.check()?;
+    weld::welded(shape, control).map_err(bare)
+}
+
+/// The error where no file is involved.
+fn bare(stop: Stop) -> Error {
+    match stop {
+        Stop::Cancelled => Error::Cancelled,
+        Stop::At(_, cause) => Error::input(cause),
+    }
+}
+
 /// Polygons, as the numbers of their corners one after the other, into n - 2 triangles each, in the order of the faces;
 /// polygons of less than three corners give none.
 ///
@@ -303,10 +329,7 @@ pub fn triangulate(dimension: usize, vertices: &[f64], sizes: &[usize], corners:
     if let Some((face, corner)) = faces.outside(count) {
         return Err(Error::input(format!("face {face} refers to vertex {corner}, the mesh has {count} vertices")));
     }
-    faces.into_triangles(vertices, dimension, control).map_err(|stop| match stop {
-        Stop::Cancelled => Error::Cancelled,
-        Stop::At(_, cause) => Error::input(cause),
-    })
+    faces.into_triangles(vertices, dimension, control).map_err(bare)
 }
 
 /// Message for a position that is no number of R.
@@ -321,4 +344,3 @@ fn push_field(data: &mut Vec<Field>, mut field: Field) {
     }
     data.push(field);
 }
-

@@ -111,7 +111,9 @@ pub(super) fn parse(bytes: &[u8], control: &Control) -> Parsed<Geometry<'static>
                     if let Some(part) = parts.next().filter(|part| !part.is_empty()) {
                         let entry = index(part, normals.len() / 3, line, faces.count(), word)?;
                         if let Some(link) = normal_links.note(vertex, entry) {
-                            let same = |a: u32, b: u32| normals.get(a as usize * 3..a as usize * 3 + 3) == normals.get(b as usize * 3..b as usize * 3 + 3);
+                            let same = |a: u32, b: u32| {
+                                normals.get(a as usize * 3..a as usize * 3 + 3) == normals.get(b as usize * 3..b as usize * 3 + 3)
+                            };
                             if *link != MIXED && !same(*link, entry) {
                                 *link = MIXED; // the corners' normals differ: none of them is the vertex's
                             }
@@ -132,7 +134,10 @@ pub(super) fn parse(bytes: &[u8], control: &Control) -> Parsed<Geometry<'static>
         return Stop::line(line, format!("{word:?} is no word of an OBJ file, and no vertex is in it"));
     }
     if let Some((face, corner)) = faces.outside(count) {
-        return Stop::line(line_of_face(bytes, face, control)?, format!("face {face} refers to vertex {}, the file has {count} vertices", i64::from(corner) + 1));
+        return Stop::line(
+            line_of_face(bytes, face, control)?,
+            format!("face {face} refers to vertex {}, the file has {count} vertices", i64::from(corner) + 1),
+        );
     }
     let mut data = Vec::new();
     if let Some(width) = color_width.filter(|&width| width > 0) {

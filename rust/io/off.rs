@@ -105,7 +105,10 @@ impl Extras {
             self.width = width;
         } else if width != self.width {
             if least > 0 {
-                return Stop::line(text.line(), format!("vertex {vertex} has {width} numbers after its position, those before have {}", self.width));
+                return Stop::line(
+                    text.line(),
+                    format!("vertex {vertex} has {width} numbers after its position, those before have {}", self.width),
+                );
             }
             (self.width, self.values) = (0, Vec::new());
         }
@@ -113,7 +116,8 @@ impl Extras {
     }
 
     fn fields(self, with_normals: bool) -> Vec<Field> {
-        let columns = |from: usize, to: usize| self.values.chunks_exact(self.width.max(1)).flat_map(move |row| row[from..to].iter().copied());
+        let columns =
+            |from: usize, to: usize| self.values.chunks_exact(self.width.max(1)).flat_map(move |row| row[from..to].iter().copied());
         let mut data = Vec::new();
         let mut at = 0;
         if with_normals && self.width >= 3 {

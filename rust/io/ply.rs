@@ -644,8 +644,11 @@ fn grouped(columns: Vec<Field>, hints: &[Hint]) -> Vec<Field> {
     let mut columns: Vec<Option<Field>> = columns.into_iter().map(Some).collect();
     let mut made: Vec<(usize, Field)> = Vec::new();
     for (names, hint, name) in groups {
-        let position = |name: &String| columns.iter().position(|column| column.as_ref().is_some_and(|field| !field.table && field.name == *name));
-        let Some(members) = names.iter().map(position).collect::<Option<Vec<usize>>>().filter(|members| !members.is_empty()) else { continue };
+        let position =
+            |name: &String| columns.iter().position(|column| column.as_ref().is_some_and(|field| !field.table && field.name == *name));
+        let Some(members) = names.iter().map(position).collect::<Option<Vec<usize>>>().filter(|members| !members.is_empty()) else {
+            continue;
+        };
         let taken = columns.iter().flatten().map(|field| &field.name).filter(|name| !names.contains(name));
         if taken.chain(made.iter().map(|(_, field)| &field.name)).any(|other| other == name) {
             continue;

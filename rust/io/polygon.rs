@@ -147,8 +147,7 @@ impl Cutter {
         let axis = (0..3).min_by(|&a, &b| normal[a].abs().total_cmp(&normal[b].abs())).unwrap_or(0);
         let mut first = normal.map(|number| -number * normal[axis]);
         first[axis] += 1.0;
-        let second: [f64; 3] =
-            std::array::from_fn(|i| normal[(i + 1) % 3] * first[(i + 2) % 3] - normal[(i + 2) % 3] * first[(i + 1) % 3]);
+        let second: [f64; 3] = std::array::from_fn(|i| normal[(i + 1) % 3] * first[(i + 2) % 3] - normal[(i + 2) % 3] * first[(i + 1) % 3]);
         let dot = |a: &[f64; 3], b: &[f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         self.flat.clear();
         self.flat.extend(scaled.map(|place| [dot(&place, &first), dot(&place, &second)]));
@@ -176,10 +175,12 @@ impl Cutter {
                 let [a, b, c] = around(i);
                 turn(flat[a], flat[b], flat[c]) > 0.0 && !reflex.iter().any(|&corner| inside(flat, [a, b, c], corner))
             });
-            let flat_ear = || (0..count).map(|step| (at + step) % count).find(|&i| {
-                let [a, b, c] = around(i);
-                turn(flat[a], flat[b], flat[c]) == 0.0
-            });
+            let flat_ear = || {
+                (0..count).map(|step| (at + step) % count).find(|&i| {
+                    let [a, b, c] = around(i);
+                    turn(flat[a], flat[b], flat[c]) == 0.0
+                })
+            };
             let Some(i) = ear.or_else(flat_ear) else {
                 let left: Vec<u32> = ring.iter().map(|&corner| corners[corner]).collect();
                 fan(&left, out);
@@ -189,7 +190,8 @@ impl Cutter {
             out.push(ends.map(|corner| corners[corner]));
             ring.remove(i);
             let count = ring.len();
-            let straightened = |corner: usize, i: usize| turn(flat[ring[(i + count - 1) % count]], flat[corner], flat[ring[(i + 1) % count]]) > 0.0;
+            let straightened =
+                |corner: usize, i: usize| turn(flat[ring[(i + count - 1) % count]], flat[corner], flat[ring[(i + 1) % count]]) > 0.0;
             let (before, after) = (straightened(ends[0], (i + count - 1) % count), straightened(ends[2], i % count));
             reflex.retain(|&corner| corner != ends[1] && !(corner == ends[0] && before) && !(corner == ends[2] && after));
             at = i % count; // go on beyond the ear: strips rather than one long fan

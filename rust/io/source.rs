@@ -164,7 +164,10 @@ impl<'a> Source<'a> {
         if read > self.most {
             return Stop::byte(
                 read,
-                format!("unpacks to more than {} MB, {GROWTH} times its size: no gzip file of a shape does; unpack it first if it is right", self.most >> 20),
+                format!(
+                    "unpacks to more than {} MB, {GROWTH} times its size: no gzip file of a shape does; unpack it first if it is right",
+                    self.most >> 20
+                ),
             );
         }
         match self.length {

@@ -43,7 +43,10 @@ fn binary(bytes: &[u8], count: usize) -> Parsed<Vec<f64>> {
         for number in 0..9 {
             let coordinate = f64::from(at::<f32>(record, 12 + 4 * number, cfg!(target_endian = "big")));
             if !coordinate.is_finite() {
-                return Stop::byte(HEAD + FACET * facet + 12 + 4 * number, format!("facet {facet}: {}", not_finite(number / 3, coordinate)));
+                return Stop::byte(
+                    HEAD + FACET * facet + 12 + 4 * number,
+                    format!("facet {facet}: {}", not_finite(number / 3, coordinate)),
+                );
             }
             vertices.push(coordinate);
         }

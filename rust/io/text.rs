@@ -210,9 +210,8 @@ pub(super) fn shown(word: &[u8]) -> String {
     text
 }
 
-const POWERS: [f64; 23] = [
-    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
-];
+const POWERS: [f64; 23] =
+    [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22];
 
 /// The double nearest to a decimal number; nothing if the word is none.
 #[inline]
@@ -303,7 +302,9 @@ pub(super) fn whole(word: &[u8]) -> Option<i64> {
 /// The text as UTF-8: byte order marks are honoured, UTF-16 is converted.
 pub(super) fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
     let wide = |big: bool| {
-        let units = bytes[2..].chunks_exact(2).map(|pair| if big { u16::from_be_bytes([pair[0], pair[1]]) } else { u16::from_le_bytes([pair[0], pair[1]]) });
+        let units = bytes[2..]
+            .chunks_exact(2)
+            .map(|pair| if big { u16::from_be_bytes([pair[0], pair[1]]) } else { u16::from_le_bytes([pair[0], pair[1]]) });
         Cow::Owned(char::decode_utf16(units).map(|unit| unit.unwrap_or(char::REPLACEMENT_CHARACTER)).collect::<String>().into_bytes())
     };
     match bytes {

@@ -106,16 +106,46 @@ pub(super) fn at<T: Stored>(record: &[u8], offset: usize, swap: bool) -> T {
 macro_rules! with_number {
     ($scalar:expr, $record:expr, $offset:expr, $swap:expr, $number:ident => $body:expr) => {
         match $scalar {
-            Scalar::I8 => { let $number = $crate::io::values::at::<i8>($record, $offset, $swap); $body }
-            Scalar::U8 => { let $number = $crate::io::values::at::<u8>($record, $offset, $swap); $body }
-            Scalar::I16 => { let $number = $crate::io::values::at::<i16>($record, $offset, $swap); $body }
-            Scalar::U16 => { let $number = $crate::io::values::at::<u16>($record, $offset, $swap); $body }
-            Scalar::I32 => { let $number = $crate::io::values::at::<i32>($record, $offset, $swap); $body }
-            Scalar::U32 => { let $number = $crate::io::values::at::<u32>($record, $offset, $swap); $body }
-            Scalar::I64 => { let $number = $crate::io::values::at::<i64>($record, $offset, $swap); $body }
-            Scalar::U64 => { let $number = $crate::io::values::at::<u64>($record, $offset, $swap); $body }
-            Scalar::F32 => { let $number = $crate::io::values::at::<f32>($record, $offset, $swap); $body }
-            Scalar::F64 => { let $number = $crate::io::values::at::<f64>($record, $offset, $swap); $body }
+            Scalar::I8 => {
+                let $number = $crate::io::values::at::<i8>($record, $offset, $swap);
+                $body
+            }
+            Scalar::U8 => {
+                let $number = $crate::io::values::at::<u8>($record, $offset, $swap);
+                $body
+            }
+            Scalar::I16 => {
+                let $number = $crate::io::values::at::<i16>($record, $offset, $swap);
+                $body
+            }
+            Scalar::U16 => {
+                let $number = $crate::io::values::at::<u16>($record, $offset, $swap);
+                $body
+            }
+            Scalar::I32 => {
+                let $number = $crate::io::values::at::<i32>($record, $offset, $swap);
+                $body
+            }
+            Scalar::U32 => {
+                let $number = $crate::io::values::at::<u32>($record, $offset, $swap);
+                $body
+            }
+            Scalar::I64 => {
+                let $number = $crate::io::values::at::<i64>($record, $offset, $swap);
+                $body
+            }
+            Scalar::U64 => {
+                let $number = $crate::io::values::at::<u64>($record, $offset, $swap);
+                $body
+            }
+            Scalar::F32 => {
+                let $number = $crate::io::values::at::<f32>($record, $offset, $swap);
+                $body
+            }
+            Scalar::F64 => {
+                let $number = $crate::io::values::at::<f64>($record, $offset, $swap);
+                $body
+            }
         }
     };
 }
@@ -253,7 +283,9 @@ impl Values {
             "uint64" => Values::U64(whole(self)?),
             "float32" => Values::F32(
                 (0..self.len())
-                    .map(|i| self.number(i).and_then(|number| (f64::from(number as f32) == number || number.is_nan()).then_some(number as f32)))
+                    .map(|i| {
+                        self.number(i).and_then(|number| (f64::from(number as f32) == number || number.is_nan()).then_some(number as f32))
+                    })
                     .collect::<Option<_>>()?,
             ),
             "float64" => Values::F64((0..self.len()).map(|i| self.number(i)).collect::<Option<_>>()?),

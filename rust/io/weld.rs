@@ -10,7 +10,7 @@ const EMPTY: u32 = u32::MAX;
 const STEP: usize = 1 << 16;
 
 /// The first vertex of each position, in order; triangles refer to those. Minus zero counts as zero.
-pub(super) fn welded(shape: Geometry<'static>, control: &Control) -> Parsed<Geometry<'static>> {
+pub(super) fn welded<'a>(shape: Geometry<'a>, control: &Control) -> Parsed<Geometry<'a>> {
     let (dimension, count) = (shape.dimension, shape.vertex_count());
     let place = |vertex: u32| &shape.vertices[vertex as usize * dimension..][..dimension];
     // A table with open addressing, seeded at random: nobody can prepare a file whose positions all collide.

@@ -14,9 +14,32 @@ use std::path::Path;
 
 const FLUSH: usize = 1 << 18;
 
+enum Sink {
+    Plain(File),
+    Packed(GzEncoder<File>),
+}
+
+impl Sink {
+    fn write_all(&mut self, bytes: &[u8]) -> Parsed<()> {
+        match self {
+            Sink::Plain(file) => file.write_all(bytes),
+            Sink::Packed(encoder) => encoder.write_all(bytes),
+        }
+        .map_err(refused)
+    }
+
+    fn finish(self) -> Parsed<()> {
+        match self {
+            Sink::Plain(mut file) => file.flush(),
+            Sink::Packed(encoder) => encoder.finish().and_then(|mut file| file.flush()),
+        }
+        .map_err(refused)
+    }
+}
+
 /// A file, plain or gzip, written in pieces.
 struct Out<'a> {
-    file: Box<dyn Write>,
+    file: Sink,
     buffer: Vec<u8>,
     control: &'a Control,
     rows: usize,
@@ -34,7 +57,7 @@ impl Out<'_> {
     }
 
     fn flush(&mut self) -> Parsed<()> {
-        self.file.write_all(&self.buffer).map_err(refused)?;
+        self.file.write_all(&self.buffer)?;
         self.buffer.clear();
         self.control.report(self.done as f64 / self.rows.max(1) as f64)?;
         Ok(())
@@ -80,7 +103,7 @@ pub(super) fn write(path: &Path, shape: &Geometry<'_>, writing: Writing, control
     let plan = plan(shape, format, writing)?; // what can be refused is refused before the file is touched
     let file = File::create(path).map_err(refused)?;
     let packed = path.file_name().is_some_and(|name| name.to_string_lossy().to_ascii_lowercase().ends_with(".gz"));
-    let file: Box<dyn Write> = if packed { Box::new(GzEncoder::new(file, Compression::new(6))) } else { Box::new(file) };
+    let file = if packed { Sink::Packed(GzEncoder::new(file, Compression::new(6))) } else { Sink::Plain(file) };
     let rows = shape.vertex_count() + shape.faces.len();
     let mut out = Out { file, buffer: Vec::with_capacity(FLUSH + 4096), control, rows, done: 0 };
     match format {
@@ -91,9 +114,14 @@ pub(super) fn write(path: &Path, shape: &Geometry<'_>, writing: Writing, control
         Format::Xyz | Format::Pts | Format::Csv => points(&mut out, shape, &plan, format)?,
     }
     out.flush()?;
-    out.file.flush().map_err(refused)?;
+    out.file.finish()?;
     let kept: Vec<&str> = plan.iter().map(|column| column.field.name.as_str()).collect();
-    Ok(shape.data.iter().filter(|field| field.columns > 0 && !kept.contains(&field.name.as_str())).map(|field| field.name.clone()).collect())
+    Ok(shape
+        .data
+        .iter()
+        .filter(|field| field.columns > 0 && !kept.contains(&field.name.as_str()))
+        .map(|field| field.name.clone())
+        .collect())
 }
 
 /// A field on its way out: the numbers as the file can store them, and the names of their columns.
@@ -105,12 +133,15 @@ struct Column<'a> {
 }
 
 fn plan<'a>(shape: &'a Geometry<'_>, format: Format, writing: Writing) -> Parsed<Vec<Column<'a>>> {
-    let usual = |name: &str, widths: &[usize]| shape.data.iter().find(|field| field.name == name && field.table && widths.contains(&field.columns));
+    let usual =
+        |name: &str, widths: &[usize]| shape.data.iter().find(|field| field.name == name && field.table && widths.contains(&field.columns));
     let plain = |field: &'a Field| Column { field, values: std::borrow::Cow::Borrowed(&field.values), names: Vec::new(), hint: false };
     let real = |field: &&Field| matches!(field.values, Values::U8(_) | Values::F32(_) | Values::F64(_));
     Ok(match format {
         Format::Stl => Vec::new(),
-        Format::Obj => [usual("colors", &[3, 4]).filter(real), usual("uv", &[2]), usual("normals", &[3])].into_iter().flatten().map(plain).collect(),
+        Format::Obj => {
+            [usual("colors", &[3, 4]).filter(real), usual("uv", &[2]), usual("normals", &[3])].into_iter().flatten().map(plain).collect()
+        }
         Format::Off => [usual("normals", &[3]), usual("colors", &[3, 4]).filter(real)].into_iter().flatten().map(plain).collect(),
         Format::Xyz => usual("normals", &[3]).into_iter().map(plain).collect(),
         Format::Pts => usual("colors", &[3]).filter(|field| matches!(field.values, Values::U8(_))).into_iter().map(plain).collect(),
@@ -138,7 +169,9 @@ fn column<'a>(field: &'a Field, taken: &mut Vec<String>, format: Format, writing
     let values = match (&field.values, format) {
         (values @ (Values::Bool(_) | Values::I64(_) | Values::U64(_)), Format::Ply) => {
             let narrower = ["uint8", "int32", "uint32", "float64"].into_iter().skip(usize::from(!matches!(values, Values::Bool(_))));
-            let exact = narrower.filter_map(|name| values.converted(name)).find(|narrow| narrow.converted(values.type_name()).as_ref() == Some(values));
+            let exact = narrower
+                .filter_map(|name| values.converted(name))
+                .find(|narrow| narrow.converted(values.type_name()).as_ref() == Some(values));
             let Some(exact) = exact else {
                 return Stop::whole(format!("data {:?} holds 64-bit integers beyond 2^53, for which PLY has no type", field.name));
             };
@@ -153,7 +186,8 @@ fn column<'a>(field: &'a Field, taken: &mut Vec<String>, format: Format, writing
         ("uv", 2, true) => &["s", "t"],
         _ => &[],
     };
-    let word: String = field.name.chars().map(|c| if c.is_whitespace() || c.is_control() || ",;#\"".contains(c) { '_' } else { c }).collect();
+    let word: String =
+        field.name.chars().map(|c| if c.is_whitespace() || c.is_control() || ",;#\"".contains(c) { '_' } else { c }).collect();
     let word = if word.is_empty() { "data".to_string() } else { word };
     let mut names: Vec<String> = match (custom, field.table) {
         ([], false) => vec![word],
@@ -166,7 +200,8 @@ fn column<'a>(field: &'a Field, taken: &mut Vec<String>, format: Format, writing
     }
     taken.extend(names.iter().cloned());
     let native = values.type_name() == field.values.type_name() && !(writing.ascii && matches!(*values, Values::F32(_)));
-    let understood = if field.table { matches!(field.name.as_str(), "colors" | "normals") && names == custom } else { names[0] == field.name };
+    let understood =
+        if field.table { matches!(field.name.as_str(), "colors" | "normals") && names == custom } else { names[0] == field.name };
     Ok(Column { field, values, names, hint: !(native && understood) })
 }
 
@@ -182,7 +217,12 @@ fn ply(out: &mut Out<'_>, shape: &Geometry<'_>, plan: &[Column<'_>], ascii: bool
     }
     for column in plan.iter().filter(|column| column.hint) {
         let columns = if column.field.table { column.field.columns.to_string() } else { "vector".into() };
-        out.text(&format!("comment {HINT} field {} {columns} {} {}\n", column.names[0], column.field.values.type_name(), column.field.name));
+        out.text(&format!(
+            "comment {HINT} field {} {columns} {} {}\n",
+            column.names[0],
+            column.field.values.type_name(),
+            column.field.name
+        ));
     }
     out.text(&format!("element vertex {}\n", shape.vertex_count()));
     for name in axis_names(shape.dimension) {
@@ -412,7 +452,8 @@ fn points(out: &mut Out<'_>, shape: &Geometry<'_>, plan: &[Column<'_>], format: 
     let separator = if format == Format::Csv { b',' } else { b' ' };
     match format {
         Format::Csv => {
-            let names: Vec<String> = axis_names(shape.dimension).into_iter().chain(plan.iter().flat_map(|column| column.names.clone())).collect();
+            let names: Vec<String> =
+                axis_names(shape.dimension).into_iter().chain(plan.iter().flat_map(|column| column.names.clone())).collect();
             out.text(&names.join(","));
             out.buffer.push(b'\n');
         }
@@ -435,4 +476,3 @@ fn points(out: &mut Out<'_>, shape: &Geometry<'_>, plan: &[Column<'_>], format: 
     }
     Ok(())
 }
-

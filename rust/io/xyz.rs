@@ -88,7 +88,14 @@ impl Table {
     }
 }
 
-fn shape(table: Table, names: Option<Vec<String>>, format: Format, path: &Path, bytes: &[u8], control: &Control) -> Parsed<Geometry<'static>> {
+fn shape(
+    table: Table,
+    names: Option<Vec<String>>,
+    format: Format,
+    path: &Path,
+    bytes: &[u8],
+    control: &Control,
+) -> Parsed<Geometry<'static>> {
     let named = names.is_some();
     let names = names.unwrap_or_else(|| standard_names(&table, format, path));
     let find = |wanted: &str| names.iter().position(|name| name.eq_ignore_ascii_case(wanted));
@@ -99,7 +106,8 @@ fn shape(table: Table, names: Option<Vec<String>>, format: Format, path: &Path, 
     if axes.len() < 2 {
         return Stop::line(1, "the header names no columns x and y");
     }
-    let vertices = if axes.len() == table.width && axes.iter().copied().eq(0..table.width) { table.values.clone() } else { table.columns(&axes) };
+    let vertices =
+        if axes.len() == table.width && axes.iter().copied().eq(0..table.width) { table.values.clone() } else { table.columns(&axes) };
     if let Some(at) = vertices.iter().position(|number| !number.is_finite()) {
         return not_finite_line(bytes, at / axes.len(), vertices[at], named, format, control);
     }
@@ -108,7 +116,8 @@ fn shape(table: Table, names: Option<Vec<String>>, format: Format, path: &Path, 
     for (members, name) in
         [(&["red", "green", "blue", "alpha"][..], "colors"), (&["red", "green", "blue"], "colors"), (&["nx", "ny", "nz"], "normals")]
     {
-        if let Some(columns) = members.iter().map(|member| find(member).filter(|column| !used.contains(column))).collect::<Option<Vec<_>>>() {
+        if let Some(columns) = members.iter().map(|member| find(member).filter(|column| !used.contains(column))).collect::<Option<Vec<_>>>()
+        {
             used.extend(&columns);
             groups.push((columns, name));
         }
@@ -117,7 +126,9 @@ fn shape(table: Table, names: Option<Vec<String>>, format: Format, path: &Path, 
     for (column, name) in names.iter().enumerate() {
         if let Some((columns, name)) = groups.iter().find(|(columns, _)| columns[0] == column) {
             let values = table.columns(columns);
-            let bytes = *name == "colors" && values.iter().all(|&value| value == value.trunc() && (0.0..256.0).contains(&value)) && values.iter().any(|&value| value > 1.0);
+            let bytes = *name == "colors"
+                && values.iter().all(|&value| value == value.trunc() && (0.0..256.0).contains(&value))
+                && values.iter().any(|&value| value > 1.0);
             let values = if bytes { Values::U8(values.into_iter().map(|value| value as u8).collect()) } else { Values::F64(values) };
             push_field(&mut data, Field::table(*name, columns.len(), values));
         } else if !used.contains(&column) {

@@ -1,0 +1,441 @@
+"""Loading and saving: files of many formats, and the shapes of other packages."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core, arrays
+from .arrays import Floats, Ints
+from .errors import DependencyError, FileError, InputError
+from .shapes import PointCloud, TriangleMesh
+
+__all__ = ["load", "save", "to_pyvista", "to_trimesh"]
+
+Fields = list[tuple[str, npt.NDArray[Any]]]
+Format = Literal["obj", "ply", "stl", "off", "xyz", "pts", "csv"]
+Progress = Callable[[float], object] | None
+
+_OWN = {".obj", ".ply", ".stl", ".off", ".coff", ".noff", ".cnoff", ".xyz", ".xyzn", ".xyzrgb", ".asc", ".txt", ".pts", ".csv", ".tsv"}
+_FREESURFER = (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd")  # triangles, quadrangles, quadrangles of the newer kind
+_NO_FACES = np.zeros((0, 3), np.int32)
+
+
+def load(
+    source: Any, *, weld: bool | None = None, format: Format | None = None, dimension: int = 2, progress: Progress = None
+) -> TriangleMesh | PointCloud:
+    """A surface or a cloud from a file, or from what another package holds.
+
+    Vertices keep their order and are never merged unless asked. Polygons become triangles, n - 2 each, in order; faces of
+    fewer than three corners are passed over. What has no triangle comes as a :class:`PointCloud`.
+
+    Parameters
+    ----------
+    source : str, PathLike, binary file, or object
+        OBJ, PLY (ASCII, little- and big-endian), STL, OFF / COFF / NOFF, XYZ, PTS, CSV, each also as gzip, are read by this
+        library; GIFTI and FreeSurfer surfaces through nibabel (``pip install 'beltrami[neuro]'``); glTF, 3MF and whatever else
+        trimesh reads through trimesh. Objects of trimesh, pyvista, open3d and meshio are taken as they are, and so are
+        a pair (vertices, faces) and an array of points (n, D).
+    weld : bool, optional
+        Whether vertices at equal positions become one (the first, with its data). By default for STL files only, which have no
+        shared vertices.
+    format : {"obj", "ply", "stl", "off", "xyz", "pts", "csv"}, optional
+        Where the file's name does not tell it.
+    dimension : int
+        Intrinsic dimension of a cloud, for :class:`PointCloud`.
+    progress : callable, optional
+        Called with the share of the file that is read, 0 to 1; returning False stops.
+
+    Returns
+    -------
+    TriangleMesh or PointCloud
+        ``.data`` holds the numbers of each vertex in the file's own types: colours as ``colors`` (n, 3) or (n, 4), normals as
+        ``normals`` (n, 3), texture coordinates as ``uv`` (n, 2; on a seam those of the first face), every other property under its
+        name. Reals of text files are doubles. Finite normals of a cloud also become its ``normals``, positive ``weights`` its weights.
+
+    Raises
+    ------
+    FileError
+        The file is missing, broken, or of no known format; the message names the file, the line or byte, and the cause.
+    InputError
+        The object is of no known kind, or its arrays are wrong.
+    DependencyError
+        A package is needed and missing.
+    Cancelled
+        ``progress`` returned False.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> bt.load(([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
+    TriangleMesh(3 vertices in R^3, 1 faces)
+    """
+    if isinstance(source, TriangleMesh | PointCloud):
+        if not weld:
+            return source
+        vertices, faces, fields = _parts(source)
+        return _shape(*_core.weld(vertices, faces, _storable(fields)[0]), dimension)
+    if isinstance(source, str | os.PathLike):
+        loaded = _from_path(os.fspath(source), format, weld, progress)
+    elif isinstance(source, io.IOBase) or (hasattr(source, "read") and not isinstance(source, type)):
+        loaded = _from_stream(source, format, weld, progress)
+    else:
+        loaded = _from_object(source)
+        if weld:
+            loaded = _core.weld(loaded[0], loaded[1], _storable(loaded[2])[0])
+    return _shape(*loaded, dimension)
+
+
+def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = None, ascii: bool = False, progress: Progress = None) -> None:
+    """Writes a surface or a cloud to a file; the format is that of the name, a final ``.gz`` packs it.
+
+    PLY holds everything: coordinates of any dimension, and every array of ``.data`` with its type. OBJ holds colours (as shares of 1), texture
+    coordinates and normals; OFF colours and normals; XYZ normals; PTS colours; CSV columns. What a format has no place for is left out with
+    a warning that names it. Reals are written so that they read back as the same bits; binary STL alone has single precision. What lies
+    in the plane gets height 0 in formats of space.
+
+    Parameters
+    ----------
+    shape : TriangleMesh or PointCloud, or anything :func:`load` takes
+    path : str or PathLike
+        Ends in .ply, .obj, .off, .stl, or for clouds also .xyz, .pts, .csv; each may be followed by .gz.
+    format : {"obj", "ply", "stl", "off", "xyz", "pts", "csv"}, optional
+        Where the name does not tell it.
+    ascii : bool
+        Text also for PLY and STL, which are binary by default.
+    progress : callable, optional
+        Called with the share that is written, 0 to 1; returning False stops.
+
+    Raises
+    ------
+    FileError
+        The format is not known or cannot hold such a shape, or the file cannot be written.
+    Cancelled
+        ``progress`` returned False; the file is not complete.
+
+    Examples
+    --------
+    >>> import beltrami as bt, pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "sphere.ply.gz"
+    >>> bt.save(bt.shapes.sphere(3), path)
+    >>> bt.load(path).genus
+    0
+    """
+    if not isinstance(shape, TriangleMesh | PointCloud):
+        shape = load(shape)
+    vertices, faces, fields = _parts(shape)
+    kept, lost = _storable(fields)
+    lost += _core.save_file(os.fspath(path), vertices, faces, kept, format, bool(ascii), progress)
+    if lost:
+        warnings.warn(f"{os.fspath(path)} has no place for data {', '.join(map(repr, lost))}; .ply keeps numbers of any type", stacklevel=2)
+
+
+def _parts(shape: TriangleMesh | PointCloud) -> tuple[Floats, Ints, Fields]:
+    """Arrays of a shape; normals and weights of a cloud among its data."""
+    fields = dict(shape.data)
+    if isinstance(shape, TriangleMesh):
+        return shape.vertices, shape.faces, list(fields.items())
+    for name, array in (("normals", shape.normals), ("weights", shape.weights)):
+        if array is not None and not (name in fields and np.array_equal(fields[name], array)):
+            fields[name] = array
+    return shape.points, _NO_FACES, list(fields.items())
+
+
+def _storable(fields: Fields) -> tuple[Fields, list[str]]:
+    """Fields as the core takes them, and the names of those it cannot."""
+    kept, lost = [], []
+    for name, array in fields:
+        if array.dtype == np.float16:
+            array = array.astype(np.float32)
+        if array.ndim in (1, 2) and array.dtype.kind in "buif" and array.dtype.itemsize <= 8:
+            kept.append((name, np.require(array, array.dtype.newbyteorder("="), ["C", "A"])))
+        else:
+            lost.append(name)
+    return kept, lost
+
+
+def _shape(vertices: Floats, faces: Ints, fields: Fields, dimension: int) -> TriangleMesh | PointCloud:
+    """The shape of arrays that are nobody else's and checked: they are not copied."""
+    for array in (vertices, faces, *(array for _, array in fields)):
+        array.flags.writeable = False
+    data = dict(fields)
+    if len(faces):
+        return TriangleMesh._trusted(vertices, faces, data)
+    normals, weights = data.get("normals"), data.get("weights")
+    if normals is not None and (normals.shape != vertices.shape or not np.isfinite(normals).all()):
+        normals = None
+    if weights is not None and not (weights.shape == (len(vertices),) and np.isfinite(weights).all() and (weights > 0).all()):
+        weights = None
+    return PointCloud(vertices, dimension=dimension, normals=normals, weights=weights, data=data)
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------------------------
+def _suffix(path: str) -> str:
+    name = Path(path).name.lower()
+    return Path(name.removesuffix(".gz")).suffix
+
+
+def _from_path(path: str | bytes, format: str | None, weld: bool | None, progress: Progress) -> tuple[Floats, Ints, Fields]:
+    path = os.fsdecode(path)
+    suffix = _suffix(path)
+    if format is not None or suffix in _OWN:
+        return _core.load_file(path, format, weld, progress)
+    try:
+        with open(path, "rb") as handle:
+            head = handle.read(16)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:  # a zero byte in the name
+        raise FileError(f"{path!r}: cannot be read: {error}") from None
+    if suffix == ".gii":
+        loaded = _from_gifti(path)
+    elif head[:3] in _FREESURFER:
+        loaded = _from_freesurfer(path)
+    elif suffix and not head.startswith((b"ply", b"OFF", b"COFF", b"NOFF", b"solid")) and suffix[1:] in _trimesh(path).available_formats():
+        loaded = _through_trimesh(path)
+    else:
+        return _core.load_file(path, None, weld, progress)
+    return _core.weld(loaded[0], loaded[1], _storable(loaded[2])[0]) if weld else loaded
+
+
+def _from_stream(stream: Any, format: str | None, weld: bool | None, progress: Progress) -> tuple[Floats, Ints, Fields]:
+    name = getattr(stream, "name", None)
+    name = os.fsdecode(name) if isinstance(name, str | bytes) else f"<{type(stream).__name__}>"
+    content = stream.read()
+    if isinstance(content, str):
+        content = content.encode()
+    if not isinstance(content, bytes):
+        raise InputError(f"{name}.read() gives {type(content).__name__}; open the file in binary mode")
+    return _core.load_bytes(content, name, format, weld, progress)
+
+
+def _trimesh(what: str) -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise DependencyError(f"{what} needs the package trimesh: pip install trimesh") from None
+    return trimesh
+
+
+def _nibabel(path: str) -> Any:
+    try:
+        import nibabel
+    except ImportError:
+        raise DependencyError(f"{path} is read through nibabel, which is missing: pip install 'beltrami[neuro]'") from None
+    return nibabel
+
+
+def _through_trimesh(path: str) -> tuple[Floats, Ints, Fields]:
+    trimesh = _trimesh(path)
+    try:
+        found = trimesh.load(path, process=False)
+    except Exception as error:
+        raise FileError(f"{path}: trimesh cannot read it: {type(error).__name__}: {error}") from error
+    return _named(path, lambda: _from_trimesh(found))
+
+
+def _from_gifti(path: str) -> tuple[Floats, Ints, Fields]:
+    nibabel = _nibabel(path)
+    try:
+        content = Path(path).read_bytes()
+        image = nibabel.GiftiImage.from_bytes(gzip.decompress(content) if content[:2] == b"\x1f\x8b" else content)
+    except Exception as error:
+        raise FileError(f"{path}: no GIFTI file: {type(error).__name__}: {error}") from error
+    codes = nibabel.nifti1.intent_codes
+    points, faces, others = None, None, []
+    for array in image.darrays:
+        intent = codes.niistring[array.intent]
+        if intent == "NIFTI_INTENT_POINTSET" and points is None:
+            points = array.data
+        elif intent == "NIFTI_INTENT_TRIANGLE" and faces is None:
+            faces = array.data
+        else:
+            others.append((str((array.meta or {}).get("Name") or intent.removeprefix("NIFTI_INTENT_").lower()), array.data))
+    if points is None:
+        raise FileError(f"{path}: holds no surface (no array of points); load the surface it belongs to")
+    return _named(path, lambda: _checked(points, faces, dict(others)))
+
+
+def _from_freesurfer(path: str) -> tuple[Floats, Ints, Fields]:
+    nibabel = _nibabel(path)
+    try:
+        points, faces = nibabel.freesurfer.read_geometry(path)
+    except Exception as error:
+        raise FileError(f"{path}: no FreeSurfer surface: {type(error).__name__}: {error}") from error
+    return _named(path, lambda: _checked(points, faces, {}))
+
+
+def _named(path: str, make: Callable[[], tuple[Floats, Ints, Fields]]) -> tuple[Floats, Ints, Fields]:
+    try:
+        return make()
+    except InputError as error:
+        raise FileError(f"{path}: {error}") from error
+
+
+# ---- objects ---------------------------------------------------------------------------------------------------------------------------
+def _checked(points: Any, faces: Any, data: Mapping[str, Any]) -> tuple[Floats, Ints, Fields]:
+    """Arrays of our own of what somebody else holds; data of another length than the vertices are not the vertices'."""
+    vertices = arrays.floats(arrays.points(points, "vertices", least=2), "vertices", (None, None))
+    triangles = _NO_FACES if faces is None else arrays.triangles(faces, "faces", len(vertices))
+    fields = []
+    for name, values in data.items():
+        array = np.asarray(values)
+        if array.dtype.kind in "buif" and array.ndim in (1, 2) and len(array) == len(vertices):
+            fields.append((str(name), np.array(array, order="C")))
+    return np.array(vertices, order="C"), np.array(triangles, order="C"), fields
+
+
+def _cut(points: Any, sizes: npt.NDArray[Any], corners: npt.NDArray[Any], data: Mapping[str, Any]) -> tuple[Floats, Ints, Fields]:
+    """Of polygons, given by their sizes and the numbers of their corners one after the other."""
+    vertices, _, fields = _checked(points, None, data)
+    wrong = np.flatnonzero((corners < 0) | (corners >= len(vertices)))
+    if len(wrong):
+        raise InputError(f"a face refers to vertex {corners[wrong[0]]}, the mesh has {len(vertices)} vertices")
+    faces = _core.triangulate(vertices, np.require(sizes, np.int64, ["C", "A"]), np.require(corners, np.int32, ["C", "A"]))
+    return vertices, faces, fields
+
+
+def _from_object(source: Any) -> tuple[Floats, Ints, Fields]:
+    packages = {kind.__module__.split(".")[0] for kind in type(source).__mro__}
+    for package, take in (("trimesh", _from_trimesh), ("pyvista", _from_pyvista), ("open3d", _from_open3d), ("meshio", _from_meshio)):
+        if package in packages:
+            return take(source)
+    if isinstance(source, tuple | list) and len(source) == 2 and np.ndim(source[0]) == 2:
+        return _checked(source[0], source[1], {})
+    if isinstance(source, np.ndarray):
+        return _checked(source, None, {})
+    if hasattr(source, "vertices") and hasattr(source, "faces"):
+        return _checked(source.vertices, source.faces, {})
+    raise InputError(
+        f"a {type(source).__module__}.{type(source).__name__} cannot be loaded; give a path, an object of trimesh, pyvista, open3d or meshio, "
+        "a pair (vertices, faces) or an array of points"
+    )
+
+
+def _from_trimesh(source: Any) -> tuple[Floats, Ints, Fields]:
+    if hasattr(source, "geometry") and hasattr(source, "graph"):  # a scene
+        if not source.geometry:
+            raise InputError("the scene of trimesh is empty")
+        source = source.to_geometry() if hasattr(source, "to_geometry") else source.dump(concatenate=True)
+    if not hasattr(source, "vertices") or hasattr(source, "entities"):
+        raise InputError(f"a {type(source).__name__} of trimesh is neither a surface nor a cloud")
+    data: dict[str, Any] = {}
+    visual = getattr(source, "visual", None)
+    if getattr(visual, "kind", None) == "vertex":
+        data["colors"] = visual.vertex_colors
+    elif getattr(visual, "uv", None) is not None:
+        data["uv"] = visual.uv
+    elif visual is None and np.size(getattr(source, "colors", ())):
+        data["colors"] = source.colors
+    data.update(getattr(source, "vertex_attributes", {}))
+    return _checked(source.vertices, getattr(source, "faces", None), data)
+
+
+def _from_pyvista(source: Any) -> tuple[Floats, Ints, Fields]:
+    names = {"Normals": "normals", "RGB": "colors", "RGBA": "colors"}
+    data = {names.get(name, name): np.asarray(source.point_data[name]) for name in source.point_data}
+    if hasattr(source, "regular_faces"):  # PolyData
+        if source.n_strips:
+            source = source.triangulate()
+        sizes, corners = _unpadded(np.asarray(source.faces))
+    elif hasattr(source, "celltypes"):  # UnstructuredGrid
+        polygons = {3: 0, 4: 0, 5: 3, 7: -1, 9: 4, 1: 0, 2: 0}  # vertices and lines are passed over
+        others = set(np.unique(source.celltypes).tolist()) - set(polygons)
+        if others:
+            raise InputError(f"the grid has cells of VTK type {min(others)}, which are no polygons; take .extract_surface() of it")
+        sizes, corners = _unpadded(np.asarray(source.cells))
+        keep = np.isin(source.celltypes, (5, 7, 9))
+        corners, sizes = corners[np.repeat(keep, sizes)], sizes[keep]
+    elif type(source).__name__ == "PointSet":
+        return _checked(source.points, None, data)
+    else:
+        raise InputError(f"a {type(source).__name__} of pyvista is no surface; take .extract_surface() of it")
+    return _cut(source.points, sizes, corners, data)
+
+
+def _unpadded(cells: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Sizes and corners of VTK's lists [n, corner, ... corner, n, ...]."""
+    if len(cells) and len(cells) % (cells[0] + 1) == 0 and (cells[:: cells[0] + 1] == cells[0]).all():
+        table = cells.reshape(-1, cells[0] + 1)
+        return table[:, 0], table[:, 1:].ravel()
+    sizes, at = [], 0
+    heads = []
+    while at < len(cells):
+        heads.append(at)
+        sizes.append(int(cells[at]))
+        at += sizes[-1] + 1
+    return np.array(sizes, np.int64), np.delete(cells, heads)
+
+
+def _from_open3d(source: Any) -> tuple[Floats, Ints, Fields]:
+    def table(value: Any) -> npt.NDArray[Any]:
+        return np.asarray(value.numpy() if hasattr(value, "numpy") else value)
+
+    if hasattr(source, "get_geometry_type") or not hasattr(source, "material"):  # open3d.geometry
+        cloud = hasattr(source, "points")
+        if not cloud and not hasattr(source, "triangles"):
+            raise InputError(f"a {type(source).__name__} of open3d is neither a triangle mesh nor a point cloud")
+        owner, prefix = source, "" if cloud else "vertex_"
+        data = {name: table(getattr(owner, prefix + name)) for name in ("colors", "normals")}
+        points, faces = (source.points, None) if cloud else (source.vertices, source.triangles)
+        return _checked(table(points), None if faces is None else table(faces), {k: v for k, v in data.items() if len(v)})
+    attributes = source.vertex if hasattr(source, "vertex") else getattr(source, "point", None)  # open3d.t.geometry
+    if attributes is None or "positions" not in attributes:
+        raise InputError(f"a {type(source).__name__} of open3d has no positions")
+    data = {str(name): table(attributes[name]) for name in attributes if name != "positions"}
+    faces = table(source.triangle["indices"]) if hasattr(source, "triangle") and "indices" in source.triangle else None
+    return _checked(table(attributes["positions"]), faces, data)
+
+
+def _from_meshio(source: Any) -> tuple[Floats, Ints, Fields]:
+    sizes, corners = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for block in source.cells:
+        if block.type in ("triangle", "quad", "polygon"):
+            for polygon in (block.data,) if isinstance(block.data, np.ndarray) and block.data.ndim == 2 else block.data:
+                table = np.atleast_2d(np.asarray(polygon))
+                sizes.append(np.full(len(table), table.shape[1]))
+                corners.append(table.ravel())
+        elif block.type not in ("vertex", "line"):
+            raise InputError(f"the mesh has cells of type {block.type!r}; triangles, quads and polygons make a surface")
+    return _cut(source.points, np.concatenate(sizes), np.concatenate(corners), source.point_data)
+
+
+# ---- to other packages -----------------------------------------------------------------------------------------------------------------
+def _in_space(points: Floats) -> Floats:
+    if points.shape[1] > 3:
+        raise InputError(f"the shape lies in R^{points.shape[1]}; choose three coordinates first")
+    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
+def to_trimesh(shape: TriangleMesh | PointCloud) -> Any:
+    """The shape as trimesh holds it: :meth:`TriangleMesh.to_trimesh`, :meth:`PointCloud.to_trimesh`."""
+    trimesh = _trimesh("to_trimesh")
+    vertices, faces, fields = _parts(shape)
+    data = {name: np.array(array) for name, array in fields}
+    colors = data.pop("colors", None)
+    if isinstance(shape, PointCloud):
+        return trimesh.PointCloud(_in_space(vertices), colors=colors)
+    return trimesh.Trimesh(_in_space(vertices), np.array(faces), vertex_colors=colors, vertex_attributes=data, process=False)
+
+
+def to_pyvista(shape: TriangleMesh | PointCloud) -> Any:
+    """The shape as pyvista holds it: :meth:`TriangleMesh.to_pyvista`, :meth:`PointCloud.to_pyvista`."""
+    try:
+        import pyvista
+    except ImportError:
+        raise DependencyError("to_pyvista needs the package pyvista: pip install pyvista") from None
+    vertices, faces, fields = _parts(shape)
+    cells = np.column_stack([np.full(len(faces), 3, np.int32), faces]).ravel()
+    result = pyvista.PolyData(_in_space(vertices), cells) if len(faces) else pyvista.PolyData(_in_space(vertices))
+    for name, array in fields:
+        if array.dtype.kind in "buif" and array.ndim <= 2:
+            result.point_data[name] = np.array(array)
+    return result
