@@ -97,10 +97,10 @@ def load(
 def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = None, ascii: bool = False, progress: Progress = None) -> None:
     """Writes a surface or a cloud to a file; the format is that of the name, a final ``.gz`` packs it.
 
-    PLY holds everything: coordinates of any dimension, and every array of ``.data`` with its type. OBJ holds colours (as shares of 1), texture
-    coordinates and normals; OFF colours and normals; XYZ normals; PTS colours; CSV columns. What a format has no place for is left out with
-    a warning that names it. Reals are written so that they read back as the same bits; binary STL alone has single precision. What lies
-    in the plane gets height 0 in formats of space.
+    PLY holds everything: coordinates of any dimension, and every array of ``.data`` with its type. OBJ holds colours (as shares
+    of 1), texture coordinates and normals; OFF colours and normals; XYZ normals; PTS colours; CSV columns. What a format has no
+    place for is left out with a warning that names it. Reals are written so that they read back as the same bits; binary STL alone
+    has single precision. What lies in the plane gets height 0 in formats of space.
 
     Parameters
     ----------
@@ -164,9 +164,10 @@ def _storable(fields: Fields) -> tuple[Fields, list[str]]:
 
 def _shape(vertices: Floats, faces: Ints, fields: Fields, dimension: int) -> TriangleMesh | PointCloud:
     """The shape of arrays that are nobody else's and checked: they are not copied."""
-    for array in (vertices, faces, *(array for _, array in fields)):
-        array.flags.writeable = False
     data = dict(fields)
+    vertices.flags.writeable = faces.flags.writeable = False
+    for array in data.values():
+        array.flags.writeable = False
     if len(faces):
         return TriangleMesh._trusted(vertices, faces, data)
     normals, weights = data.get("normals"), data.get("weights")
@@ -315,8 +316,8 @@ def _from_object(source: Any) -> tuple[Floats, Ints, Fields]:
     if hasattr(source, "vertices") and hasattr(source, "faces"):
         return _checked(source.vertices, source.faces, {})
     raise InputError(
-        f"a {type(source).__module__}.{type(source).__name__} cannot be loaded; give a path, an object of trimesh, pyvista, open3d or meshio, "
-        "a pair (vertices, faces) or an array of points"
+        f"a {type(source).__module__}.{type(source).__name__} cannot be loaded; give a path, an object of trimesh, pyvista, open3d "
+        "or meshio, a pair (vertices, faces) or an array of points"
     )
 
 
@@ -328,7 +329,7 @@ def _from_trimesh(source: Any) -> tuple[Floats, Ints, Fields]:
     if not hasattr(source, "vertices") or hasattr(source, "entities"):
         raise InputError(f"a {type(source).__name__} of trimesh is neither a surface nor a cloud")
     data: dict[str, Any] = {}
-    visual = getattr(source, "visual", None)
+    visual: Any = getattr(source, "visual", None)
     if getattr(visual, "kind", None) == "vertex":
         data["colors"] = visual.vertex_colors
     elif getattr(visual, "uv", None) is not None:
