@@ -16,13 +16,14 @@ import numpy.typing as npt
 from . import _core, arrays
 from .arrays import Floats, Ints
 from .errors import DependencyError, FileError, InputError
+from .progress import Progress, reporter
 from .shapes import PointCloud, TriangleMesh
 
 __all__ = ["load", "save", "to_pyvista", "to_trimesh"]
 
 Fields = list[tuple[str, npt.NDArray[Any]]]
 Format = Literal["obj", "ply", "stl", "off", "xyz", "pts", "csv"]
-Progress = Callable[[float], object] | None
+Reporter = Callable[[float], object] | None
 
 _OWN = {".obj", ".ply", ".stl", ".off", ".coff", ".noff", ".cnoff", ".xyz", ".xyzn", ".xyzrgb", ".asc", ".txt", ".pts", ".csv", ".tsv"}
 _FREESURFER = (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd")  # triangles, quadrangles, quadrangles of the newer kind
@@ -51,8 +52,8 @@ def load(
         Where the file's name does not tell it.
     dimension : int
         Intrinsic dimension of a cloud, for :class:`PointCloud`.
-    progress : callable, optional
-        Called with the share of the file that is read, 0 to 1; returning False stops.
+    progress : callable or True, optional
+        Called with the share of the file that is read, 0 to 1; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -84,9 +85,9 @@ def load(
         vertices, faces, fields = _parts(source)
         return _shape(*_core.weld(vertices, faces, _storable(fields)[0]), dimension)
     if isinstance(source, str | os.PathLike):
-        loaded = _from_path(os.fspath(source), format, weld, progress)
+        loaded = _from_path(os.fspath(source), format, weld, reporter(progress, "load"))
     elif isinstance(source, io.IOBase) or (hasattr(source, "read") and not isinstance(source, type)):
-        loaded = _from_stream(source, format, weld, progress)
+        loaded = _from_stream(source, format, weld, reporter(progress, "load"))
     else:
         loaded = _from_object(source)
         if weld:
@@ -111,8 +112,8 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
         Where the name does not tell it.
     ascii : bool
         Text also for PLY and STL, which are binary by default.
-    progress : callable, optional
-        Called with the share that is written, 0 to 1; returning False stops.
+    progress : callable or True, optional
+        Called with the share that is written, 0 to 1; returning False stops. True draws a bar.
 
     Raises
     ------
@@ -133,7 +134,7 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
         shape = load(shape)
     vertices, faces, fields = _parts(shape)
     kept, lost = _storable(fields)
-    lost += _core.save_file(os.fspath(path), vertices, faces, kept, format, bool(ascii), progress)
+    lost += _core.save_file(os.fspath(path), vertices, faces, kept, format, bool(ascii), reporter(progress, "save"))
     if lost:
         warnings.warn(f"{os.fspath(path)} has no place for data {', '.join(map(repr, lost))}; .ply keeps numbers of any type", stacklevel=2)
 
@@ -184,7 +185,7 @@ def _suffix(path: str) -> str:
     return Path(name.removesuffix(".gz")).suffix
 
 
-def _from_path(path: str | bytes, format: str | None, weld: bool | None, progress: Progress) -> tuple[Floats, Ints, Fields]:
+def _from_path(path: str | bytes, format: str | None, weld: bool | None, progress: Reporter) -> tuple[Floats, Ints, Fields]:
     path = os.fsdecode(path)
     suffix = _suffix(path)
     if format is not None or suffix in _OWN:
@@ -207,7 +208,7 @@ def _from_path(path: str | bytes, format: str | None, weld: bool | None, progres
     return _core.weld(loaded[0], loaded[1], _storable(loaded[2])[0]) if weld else loaded
 
 
-def _from_stream(stream: Any, format: str | None, weld: bool | None, progress: Progress) -> tuple[Floats, Ints, Fields]:
+def _from_stream(stream: Any, format: str | None, weld: bool | None, progress: Reporter) -> tuple[Floats, Ints, Fields]:
     name = getattr(stream, "name", None)
     name = os.fsdecode(name) if isinstance(name, str | bytes) else f"<{type(stream).__name__}>"
     content = stream.read()
