@@ -17,6 +17,7 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::cholesky::Cholesky;
+    #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
