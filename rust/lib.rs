@@ -22,6 +22,7 @@ pub mod io;
 pub mod near;
 pub mod operators;
 pub mod shape;
+pub mod sliced;
 pub mod solvers;
 pub mod sparse;
 pub mod threads;

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from typing import Any, final
+from typing import final
 
 import numpy as np
 import numpy.typing as npt
@@ -86,6 +87,22 @@ class Cholesky:
     def unknowns(self) -> int: ...
     def nnz(self) -> int: ...
     def log_determinant(self) -> float: ...
+# sliced
+def sliced_distance(
+    source: Floats,
+    target: Floats,
+    source_weights: Floats | None,
+    target_weights: Floats | None,
+    directions: Floats,
+    progress: Callable[[float], object] | None = None,
+) -> float: ...
+
+@final
+class SlicedAlignment:
+    def __new__(
+        cls, source: Floats, target: Floats, source_weights: Floats | None, target_weights: Floats | None, directions: Floats
+    ) -> SlicedAlignment: ...
+    def step(self, rotations: Floats) -> tuple[Floats, Floats]: ...
 
 # threads
 def num_threads() -> int: ...

@@ -8,6 +8,7 @@ mod near;
 mod operators;
 mod run;
 mod shape;
+mod sliced;
 mod threads;
 mod view;
 
@@ -28,6 +29,8 @@ mod _core {
         check_mesh, face_areas, make_cylinder, make_disc, make_ellipsoid, make_flat_torus, make_grid, make_knot, make_star, make_tori,
         make_torus, oriented_faces, topology,
     };
+    #[pymodule_export]
+    use super::sliced::{SlicedAlignment, sliced_distance};
     #[pymodule_export]
     use super::threads::{num_threads, set_num_threads};
     #[pymodule_export]
