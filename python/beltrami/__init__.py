@@ -24,6 +24,7 @@ from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
 from .solvers import Cholesky
 from .view import Page, Picture, plot
+from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 
 __version__ = "0.1.0"
 
@@ -41,6 +42,7 @@ __all__ = [
     "Page",
     "Picture",
     "PointCloud",
+    "RotationInvariantSlicedWassersteinResult",
     "TopologyError",
     "TriangleMesh",
     "__version__",
@@ -51,6 +53,8 @@ __all__ = [
     "operators",
     "plot",
     "save",
+    "rotation_invariant_sliced_wasserstein",
     "set_num_threads",
     "shapes",
+    "sliced_wasserstein",
 ]

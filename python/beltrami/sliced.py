@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _core, arrays
 from .arrays import Floats
-from .errors import InputError
+from .errors import Cancelled, InputError
 
-__all__ = ["RotationInvariantSlicedWassersteinResult", "orthonormal_directions", "rotation_invariant_sliced_wasserstein", "sliced_wasserstein"]
+__all__ = [
+    "RotationInvariantSlicedWassersteinResult",
+    "orthonormal_directions",
+    "rotation_invariant_sliced_wasserstein",
+    "sliced_wasserstein",
+]
 
 _SAMPLE = 1000  # points that rotations are tried on before the best few see all points
 
@@ -77,7 +82,7 @@ def _measures(
 
 
 def _directions(directions: int | npt.ArrayLike, dimension: int, rng: np.random.Generator) -> Floats:
-    if np.ndim(directions) == 0:  # type: ignore[arg-type]
+    if np.ndim(directions) == 0:
         return orthonormal_directions(dimension, arrays.whole(directions, "directions", 1), rng=rng)
     return arrays.floats(directions, "directions", (None, dimension))
 
@@ -175,40 +180,54 @@ class RotationInvariantSlicedWassersteinResult:
 def _polar(cross: Floats) -> Floats:
     """U V^T: the orthogonal matrices nearest to those given."""
     u, _, v = np.linalg.svd(cross)
-    return u @ v
+    product: Floats = u @ v
+    return product
 
 
 @dataclass
 class _Run:
     rotation: Floats
-    value: float
-    history: list[float]
+    value: float = np.inf
+    history: list[float] = field(default_factory=list)
     converged: bool = False
 
 
-def _alternate(alignment: _core.SlicedAlignment, rotations: Floats, steps: int, tolerance: float) -> list[_Run]:
-    """Couplings, then the rotation that is best for them, and again; from several rotations at a time.
+def _alternate(alignment: _core.SlicedAlignment, runs: list[_Run], steps: int, tolerance: float) -> list[_Run]:
+    """Couplings, then the rotation that is best for them, and again; several runs at a time, each from where it is.
 
-    With directions in orthonormal blocks a step never makes the value larger but by rounding; with others it may, and ends there.
+    With directions in orthonormal blocks a step never makes the value larger but by rounding. Steps are lengthened (Nesterov's
+    extrapolation); where that makes the value larger, the run goes back to its best rotation and on with a plain step.
     """
-    runs: list[_Run] = [_Run(rotation, np.inf, []) for rotation in rotations]
-    active, trial = list(range(len(runs))), rotations
-    for _ in range(steps + 1):
-        cross, values = alignment.step(np.ascontiguousarray(trial))
+    trial = [run.rotation for run in runs]  # where each run looks next
+    plain = list(trial)  # the plain step from its best rotation
+    lengthened = [0] * len(runs)  # steps since the last plain one
+    active = [index for index, run in enumerate(runs) if not run.converged]
+    for step in range(steps + 1):
+        if not active:
+            break
+        cross, values = alignment.step(np.array([trial[index] for index in active]))
+        ahead = _polar(cross)
         going = []
-        for place, index in enumerate(active):
-            run, value = runs[index], float(values[place])
-            run.converged = value >= run.value * (1 - tolerance)
+        for index, value, new in zip(active, values.tolist(), ahead, strict=True):
+            run = runs[index]
+            enough = step == 0 or value < run.value * (1 - tolerance)
             if value < run.value:
-                run.rotation, run.value = trial[place], value
+                run.rotation, run.value = trial[index], value
                 run.history.append(value)
-            if not run.converged and value > 0:
-                going.append(place)
+            if enough and value > 0:
+                share = lengthened[index] / (lengthened[index] + 3)
+                trial[index] = new + share * (new - plain[index]) if share else new
+                plain[index] = new
+                lengthened[index] += 1
+                going.append(index)
+            elif lengthened[index] > 1 and value > 0:
+                trial[index], lengthened[index] = plain[index], 0
+                going.append(index)
             else:
                 run.converged = True
-        if not going:
-            break
-        active, trial = [active[place] for place in going], _polar(cross[going])
+        active = going
+        for index, rotation in zip(active, _polar(np.array([trial[index] for index in active])) if active else (), strict=True):
+            trial[index] = rotation
     return runs
 
 
@@ -218,7 +237,7 @@ def _starts(x: Floats, y: Floats, a: Floats | None, b: Floats | None, rng: np.ra
     dimension = x.shape[1]
 
     def axes(points: Floats, weights: Floats | None) -> tuple[Floats, Floats]:
-        share = np.full(len(points), 1 / len(points)) if weights is None else weights / weights.sum()
+        share = np.full(len(points), 1 / len(points)) if weights is None else weights / max(weights.sum(), np.finfo(float).tiny)
         frame = np.linalg.eigh((points * share[:, None]).T @ points)[1][:, ::-1]
         return frame, share @ (points @ frame) ** 3
 
@@ -235,9 +254,7 @@ def _starts(x: Floats, y: Floats, a: Floats | None, b: Floats | None, rng: np.ra
     return np.concatenate([np.eye(dimension)[None], source @ np.array(middle) @ target.T])
 
 
-def _sample(
-    points: Floats, weights: Floats | None, seed: int
-) -> tuple[Floats, Floats | None]:
+def _sample(points: Floats, weights: Floats | None, seed: int) -> tuple[Floats, Floats | None]:
     if len(points) <= _SAMPLE * 3 // 2:
         return points, weights
     chosen = np.sort(np.random.default_rng([seed, len(points)]).choice(len(points), _SAMPLE, replace=False))
@@ -266,7 +283,7 @@ def rotation_invariant_sliced_wasserstein(
     rng: int | np.random.Generator | None = None,
     starts: npt.ArrayLike | None = None,
     max_iterations: int = 300,
-    tolerance: float = 1e-12,
+    tolerance: float = 1e-10,
     progress: Callable[[float], object] | None = None,
 ) -> RotationInvariantSlicedWassersteinResult:
     """The least sliced Wasserstein distance over all rotations and reflections of one point set.
@@ -293,7 +310,7 @@ def rotation_invariant_sliced_wasserstein(
     starts : (k, D, D) array, optional
         Rotations to begin with, instead of principal axes with all signs and some at random.
     max_iterations : int
-        Steps of each of the last runs.
+        Steps of the last run in each order.
     tolerance : float
         A run has converged when a step lessens the squared distance by less than this, relatively.
     progress : callable, optional
@@ -313,7 +330,8 @@ def rotation_invariant_sliced_wasserstein(
 
     Notes
     -----
-    The objective has many local minima. What is returned is the best one found; more can be tried with ``starts``.
+    Steps are lengthened by Nesterov's extrapolation where that lessens the objective. It has many local minima. What is returned is
+    the best one found; more can be tried with ``starts``.
 
     Examples
     --------
@@ -329,7 +347,11 @@ def rotation_invariant_sliced_wasserstein(
     generator = _generator(rng)
     theta = _directions(directions, dimension, generator)
     most, tolerance = arrays.whole(max_iterations, "max_iterations", 1), arrays.number(tolerance, "tolerance", least=0.0)
-    report = _Reporter(progress)
+
+    def report(share: float) -> None:
+        if progress is not None and progress(share) is False:
+            raise Cancelled("stopped on request before the work was done")
+
     if starts is None:
         first = _starts(x, y, a, b, generator)
     else:
@@ -339,26 +361,28 @@ def rotation_invariant_sliced_wasserstein(
         first = _polar(first)
     seed = int(generator.integers(2**31))
     (p, u), (q, v) = _sample(x, a, seed), _sample(y, b, seed)
+    few = theta[: dimension * -(-40 // dimension)] if np.ndim(directions) == 0 else theta
     # both orders see the same rotations, one of them transposed
-    found: list[_Run] = []
-    for order, (s, t, sw, tw, rotations) in enumerate(((p, q, u, v, first), (q, p, v, u, first.transpose(0, 2, 1)))):
-        coarse = _core.SlicedAlignment(s, t, sw, tw, theta)
+    ends: list[_Run] = []
+    for order, (s, t, sw, tw) in enumerate(((p, q, u, v), (q, p, v, u))):
+        coarse = _core.SlicedAlignment(s, t, sw, tw, few)
+        runs = [_Run(rotation.T if order else rotation) for rotation in first]
         while True:  # a few steps each, the better half goes on
-            runs = _distinct(_alternate(coarse, rotations, 4, tolerance), max(len(rotations) // 2, 3))
-            report((order + 1 / (1 + len(runs))) / 4)
+            runs = _distinct(_alternate(coarse, runs, 4, tolerance), max(len(runs) // 2, 3))
+            report(0.25 * (order + 1 / len(runs)))
             if len(runs) <= 3:
                 break
-            rotations = np.array([run.rotation for run in runs])
-        runs = _distinct(_alternate(coarse, np.array([run.rotation for run in runs]), 30, tolerance), 2)
-        found += [_Run(run.rotation.T if order else run.rotation, run.value, []) for run in runs]
-    ends = np.array([run.rotation for run in _distinct(found, 3)] + ([np.eye(dimension)] if starts is None else []))
+        runs = _distinct(_alternate(coarse, runs, 30, tolerance), 2)
+        ends += [_Run(run.rotation.T if order else run.rotation, run.value) for run in runs]
+    rotations = [run.rotation for run in _distinct(ends, 3)] + ([np.eye(dimension)] if starts is None else [])
     best: tuple[_Run, Floats] | None = None
-    for order, (s, t, sw, tw, rotations) in enumerate(((x, y, a, b, ends), (y, x, b, a, ends.transpose(0, 2, 1)))):
-        report(0.5 + order / 4)
+    for order, (s, t, sw, tw) in enumerate(((x, y, a, b), (y, x, b, a))):
+        report(0.5 + 0.25 * order)
         full = _core.SlicedAlignment(s, t, sw, tw, theta)
-        for run in _alternate(full, rotations, most, tolerance):
-            if best is None or run.value < best[0].value:
-                best = run, run.rotation.T if order else run.rotation
+        runs = _alternate(full, [_Run(rotation.T if order else rotation) for rotation in rotations], 10, tolerance)
+        (run,) = _alternate(full, _distinct(runs, 1), most, tolerance)
+        if best is None or run.value < best[0].value:
+            best = run, run.rotation.T if order else run.rotation
     assert best is not None
     report(1.0)
     run, rotation = best
