@@ -22,9 +22,9 @@ from .files import load, save
 from .near import nearest_neighbors, neighbors_within
 from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
+from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 from .solvers import Cholesky
 from .view import Page, Picture, plot
-from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 
 __version__ = "0.1.0"
 
@@ -52,8 +52,8 @@ __all__ = [
     "num_threads",
     "operators",
     "plot",
-    "save",
     "rotation_invariant_sliced_wasserstein",
+    "save",
     "set_num_threads",
     "shapes",
     "sliced_wasserstein",

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from typing import Any, final
-from typing import final
 
 import numpy as np
 import numpy.typing as npt
