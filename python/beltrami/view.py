@@ -539,7 +539,7 @@ def plot(
     samples: int = 3,
     description: str | None = None,
     progress: Progress = None,
-) -> Picture:
+) -> Picture | Page:
     """Paints a shape; no display is needed.
 
     Parameters
@@ -610,8 +610,8 @@ def plot(
     >>> bt.plot(mesh, np.array([0.0, 1.0, 2.0]), size=(320, 200)).pixels.shape
     (200, 320, 3)
     """
-    if path is not None and Path(path).suffix.lower() != ".png":
-        raise InputError(f"{path}: a picture ends in .png")
+    if path is not None and Path(path).suffix.lower() not in (".png", ".html", ".htm"):
+        raise InputError(f"{path}: a picture ends in .png, an interactive page in .html")
     width, height = (arrays.whole(side, "size", 16, 20000) for side in size)
     transparency = arrays.number(transparency, "transparency", least=0)
     if transparency > 1:
@@ -630,6 +630,38 @@ def plot(
     mark_colours = _each_colour(point_color, len(marks), (0.89, 0.34, 0.18), "point_color")
     said = description or _describe(geometry, fields, [name for _, name in cameras], title)
     report = reporter(progress, "painting")
+    if path is not None and Path(path).suffix.lower() != ".png":
+        from . import page
+
+        html = page.build(
+            geometry.vertices,
+            geometry.faces,
+            geometry.normals,
+            [_page_field(page, f, colormap, limits) for f in fields],
+            title=title or "",
+            description=said,
+            marks=marks,
+            mark_colours=mark_colours,
+            lines=polylines,
+            radius=0.0 if len(geometry.faces) else _touching(geometry) if radius is None else radius,
+            axes=cameras[0][0],
+            up=[float(axis == up) for axis in "xyz"],
+            flat=geometry.flat,
+            lit=shading and not geometry.flat,
+            note=geometry.note,
+            plain=colors.color(color) if color is not None else _PLAIN,
+            missing=_MISSING,
+            markSize=arrays.number(point_size, "point_size", above=0) * 0.75,
+            lineWidth=arrays.number(line_width, "line_width", above=0),
+            lineColours=line_colours,
+            transparency=transparency,
+            edges=bool(edges),
+            contours=any(len(f.levels) for f in fields),
+            colourBar=bool(color_bar),
+        )
+        if report is not None:
+            report(1.0)
+        return Page(html, said, _write(path, html.encode()))
     reach = np.concatenate([geometry.vertices, marks, *polylines])
     centre = 0.5 * (reach.min(axis=0) + reach.max(axis=0))
     extent = max(float(np.linalg.norm(reach - centre, axis=1).max()), 1e-150)
@@ -777,6 +809,18 @@ def _ramp(shown: Field, colormap: Any, limits: tuple[float, float] | None) -> Fi
     """The table behind numbers on faces, for their colour bar."""
     count = len(shown.scalars)
     return _field(shown.scalars, shown.name, count, 0, colormap=colormap, limits=limits, contours=None, names=None, color=None)
+
+
+def _page_field(page: Any, shown: Field, colormap: Any, limits: tuple[float, float] | None) -> dict[str, Any]:
+    if not shown.bar:
+        made: dict[str, Any] = page.field_data(shown, None, [])
+        return made
+    table = shown if shown.kind == "scalars" else _ramp(shown, colormap, limits)
+    low, high = shown.span
+    ticks = _ticks(low, high)
+    places = [float((tick - low) / (high - low)) if high > low else 0.5 for tick in ticks]
+    made = page.field_data(shown, table.colours[:, :3], list(zip(places, _tick_texts(ticks), strict=True)))
+    return made
 
 
 def _describe(geometry: _Geometry, fields: list[Field], views: list[str], title: str | None) -> str:

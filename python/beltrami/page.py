@@ -1,0 +1,93 @@
+"""Interactive pages: one HTML file with the shape, its fields and a small viewer inside; it opens from disk without a network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .colors import Colours
+
+if TYPE_CHECKING:
+    from .view import Field
+
+
+def _base64(array: npt.NDArray[Any], kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode()
+
+
+def _bytes(colours: npt.ArrayLike) -> npt.NDArray[np.uint8]:
+    return np.round(255 * np.asarray(colours, float)).astype(np.uint8)
+
+
+def field_data(shown: Field, ramp: Colours | None, ticks: list[tuple[float, str]]) -> dict[str, Any]:
+    """What the viewer has to know about a field."""
+    low, high = shown.span
+    levels = shown.levels
+    step = float(levels[1] - levels[0]) if len(levels) > 1 else (high - low) / 15 if high > low else 1.0
+    data: dict[str, Any] = {
+        "name": shown.name,
+        "kind": shown.kind,
+        "span": [low, high],
+        "table": _base64(_bytes(shown.colours[:, :3] if shown.kind in ("scalars", "labels", "uniform") else [[0, 0, 0]]), "u1"),
+        "legend": list(shown.legend),
+        "swatches": _bytes(shown.colours[:, :3]).ravel().tolist() if shown.kind == "labels" else [],
+        "missing": shown.missing,
+        "bar": shown.bar,
+        "ramp": _bytes(ramp).ravel().tolist() if ramp is not None else [],
+        "ticks": ticks,
+        "step": step,
+        "offset": float(levels[0]) if len(levels) else low,
+    }
+    if shown.kind == "scalars":
+        data["values"] = _base64(shown.scalars, "<f4")
+    elif shown.kind == "labels":
+        data["values"] = _base64(shown.labels, "<f4")
+    elif shown.kind in ("vertices", "faces"):
+        data["rgba"] = _base64(_bytes(shown.colours), "u1")
+    return data
+
+
+def build(
+    vertices: npt.NDArray[np.float64],
+    faces: npt.NDArray[np.int32],
+    normals: npt.NDArray[np.float64],
+    fields: list[dict[str, Any]],
+    *,
+    title: str,
+    description: str,
+    marks: npt.NDArray[np.float64],
+    mark_colours: list[tuple[float, float, float]],
+    lines: list[npt.NDArray[np.float64]],
+    radius: float,
+    **more: Any,
+) -> str:
+    """The page. Positions are shifted to the middle of everything and scaled to reach 1; ``more`` goes to the viewer as it is."""
+    reach = np.concatenate([vertices, marks, *lines])
+    centre = 0.5 * (reach.min(axis=0) + reach.max(axis=0))
+    extent = max(float(np.linalg.norm(reach - centre, axis=1).max()), 1e-150)
+    tints = np.full((len(marks), 4), 255, np.uint8)
+    tints[:, :3] = _bytes(mark_colours).reshape(-1, 3)
+    data = {
+        "vertices": _base64((vertices - centre) / extent, "<f4"),
+        "faces": _base64(faces, "<u4"),
+        "normals": _base64(normals, "<f4") if len(normals) else None,
+        "fields": fields,
+        "marks": _base64((marks - centre) / extent, "<f4"),
+        "markColours": _base64(tints, "u1"),
+        "linePoints": _base64((np.concatenate(lines) - centre) / extent if lines else np.zeros(0), "<f4"),
+        "lineStarts": np.concatenate([[0], np.cumsum([len(line) for line in lines], dtype=int)]).tolist(),
+        "radius": radius / extent,
+        **more,
+    }
+    text = resources.files("beltrami").joinpath("viewer.html").read_text(encoding="utf-8")
+    inside = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    words = {"__TITLE__": html.escape(title or "Shape"), "__DESCRIPTION__": html.escape(description)}
+    for mark, replacement in words.items():
+        text = text.replace(mark, replacement)
+    return text.replace("__DATA__", inside)
