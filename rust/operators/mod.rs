@@ -5,3 +5,5 @@
 pub mod cotangent;
 
 pub use cotangent::{MeshOperators, cotangent_operators, divergence, galerkin_mass, gradient, voronoi_mass};
+
+mod intrinsic;

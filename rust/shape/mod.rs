@@ -2,9 +2,11 @@
 
 mod glue;
 mod implicit;
+pub(crate) mod intrinsic;
 pub mod make;
 mod mesh;
 mod topology;
 
+pub use intrinsic::{IntrinsicTriangulation, intrinsic_delaunay, tufted};
 pub use mesh::TriangleMesh;
 pub use topology::{BoundaryLoop, Topology};
