@@ -145,7 +145,7 @@ fn degenerate_triangles_become_finite() {
         }
     };
     let meshes = [
-        spoil(&|v, f| copy(v, f[0][0], f[0][1])),                                // two vertices in one place
+        spoil(&|v, f| copy(v, f[0][0], f[0][1])), // two vertices in one place
         spoil(&|v, f| f[..9].iter().for_each(|t| (copy(v, t[0], t[1]), copy(v, t[0], t[2])).0)), // triangles in one point
         spoil(&|v, f| {
             for axis in 0..3 {
@@ -158,10 +158,10 @@ fn degenerate_triangles_become_finite() {
                 v[3 * a + axis] = v[3 * b + axis] + 1e-10 * (axis as f64 - 0.7);
             }
         }), // a sliver
-        spoil(&|v, _| v.iter_mut().skip(2).step_by(3).for_each(|z| *z = 0.0)),   // flat
+        spoil(&|v, _| v.iter_mut().skip(2).step_by(3).for_each(|z| *z = 0.0)), // flat
         spoil(&|v, _| v.iter_mut().enumerate().filter(|(i, _)| i % 3 > 0).for_each(|(_, x)| *x = 0.0)), // on a line
-        spoil(&|_, f| f[4][1] = f[4][0]),                                        // a corner named twice
-        spoil(&|v, _| v.iter_mut().step_by(3).for_each(|x| *x *= 1e9)),          // long
+        spoil(&|_, f| f[4][1] = f[4][0]),         // a corner named twice
+        spoil(&|v, _| v.iter_mut().step_by(3).for_each(|x| *x *= 1e9)), // long
         spoil(&|v, _| v.iter_mut().for_each(|x| *x *= 1e-100)),
         spoil(&|v, _| v.iter_mut().for_each(|x| *x *= 1e100)),
     ];

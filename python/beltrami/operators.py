@@ -180,6 +180,32 @@ def _cotangent(shape: Any, mass: str, options: dict[str, Any]) -> Operators:
     return MeshOperators(shape, "cotangent", arrays.csr_out(parts, (n, n)), masses, spacing)
 
 
+def _intrinsic(kind: Literal["intrinsic_delaunay", "tufted"], notes: tuple[str, ...] = ()) -> _Builder:
+    def build(shape: Any, mass: str, options: dict[str, Any]) -> Operators:
+        from . import intrinsic  # it builds on this module
+
+        progress = options.pop("progress", None)
+        _no_options(options, kind)
+        return intrinsic.build(shape, kind, voronoi=mass == "voronoi", progress=progress, notes=notes)
+
+    return build
+
+
+def _auto(shape: Any, mass: str, options: dict[str, Any]) -> Operators:
+    from . import intrinsic
+
+    kind, notes = intrinsic.choose(shape)
+    if kind != "cotangent":
+        return _intrinsic(kind, notes)(shape, mass, options)
+    options.pop("progress", None)  # done before a bar would show
+    return _cotangent(shape, mass, options)
+
+
 _Builder = Callable[[Any, str, dict[str, Any]], Operators]
-_MESH: dict[str, _Builder] = {"auto": _cotangent, "cotangent": _cotangent}
+_MESH: dict[str, _Builder] = {
+    "auto": _auto,
+    "cotangent": _cotangent,
+    "intrinsic_delaunay": _intrinsic("intrinsic_delaunay"),
+    "tufted": _intrinsic("tufted"),
+}
 _CLOUD: dict[str, _Builder] = {}

@@ -5,7 +5,7 @@ A shape is frozen: its arrays are read-only copies of what was handed in, so tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -17,9 +17,9 @@ import numpy.typing as npt
 from . import _core, arrays
 from .arrays import Floats, Ints
 from .errors import InputError, NumericalError, TopologyError
+from .progress import Progress, reporter
 
 Data = Mapping[str, npt.NDArray[Any]]
-Progress = Callable[[float], object] | None
 
 
 def _frozen_data(data: Mapping[str, Any] | None, count: int, what: str) -> Data:
@@ -144,11 +144,11 @@ class TriangleMesh:
     @cached_property
     def _topology(self) -> _Topology:
         found = _core.topology((self.vertices, self.faces))
-        edges, labels, (components, euler, unreferenced, degenerate, closed), loops, manifold, inconsistent, one_sided, genus = found
+        edges, labels, counts, loops, manifold, inconsistent, one_sided, genus = found
         for array in (edges, labels, *loops):
             array.flags.writeable = False
         pair = None if inconsistent is None else (inconsistent[0], inconsistent[1])
-        return _Topology(edges, labels, components, euler, unreferenced, degenerate, closed, loops, manifold, pair, one_sided, genus)
+        return _Topology(edges, labels, *counts, loops, manifold, pair, one_sided, genus)
 
     @property
     def edges(self) -> Ints:
@@ -330,6 +330,7 @@ class _Topology(NamedTuple):
     unreferenced: int
     degenerate: int
     closed: bool
+    edge_manifold: bool
     loops: list[Ints]
     non_manifold: str | None
     inconsistent: tuple[int, int] | None
@@ -675,7 +676,8 @@ def knot(
 
 def _tori(kind: str, ring_radius: float, tube_radius: float, resolution: int, progress: Progress) -> TriangleMesh:
     radii = arrays.number(ring_radius, "ring_radius", above=0), arrays.number(tube_radius, "tube_radius", above=0)
-    return TriangleMesh(*_core.make_tori(kind, radii, arrays.whole(resolution, "resolution", 6, 4096), progress))
+    cells, report = arrays.whole(resolution, "resolution", 6, 4096), reporter(progress, kind.replace("_", " "))
+    return TriangleMesh(*_core.make_tori(kind, radii, cells, report))
 
 
 def figure_eight(*, ring_radius: float = 1.0, tube_radius: float = 0.35, resolution: int = 12, progress: Progress = None) -> TriangleMesh:
@@ -687,8 +689,8 @@ def figure_eight(*, ring_radius: float = 1.0, tube_radius: float = 0.35, resolut
         Of the circles and of the tubes; the tube may have 0.7 of the ring's radius.
     resolution : int
         Cells across a tube; the triangles' edges are about 2 tube_radius / resolution.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : bool or callable, optional
+        True for a bar, or a callable of the share done; returning False stops.
 
     Raises
     ------
@@ -741,8 +743,8 @@ def star(
         From the origin to the centre of the round end; the tube may be half as thick as its arm is long.
     resolution : int
         Cells across a tube; the triangles' edges are about 2 tube_radius / resolution.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : bool or callable, optional
+        True for a bar, or a callable of the share done; returning False stops.
 
     Raises
     ------
@@ -756,9 +758,8 @@ def star(
     2
     """
     lengths = arrays.number(arm_length, "arm_length", above=0), arrays.number(tube_radius, "tube_radius", above=0)
-    return TriangleMesh(
-        *_core.make_star(arrays.whole(arms, "arms", 2, 100), *lengths, arrays.whole(resolution, "resolution", 6, 4096), progress)
-    )
+    cells, report = arrays.whole(resolution, "resolution", 6, 4096), reporter(progress, "star")
+    return TriangleMesh(*_core.make_star(arrays.whole(arms, "arms", 2, 100), *lengths, cells, report))
 
 
 def y(*, arm_length: float = 1.0, tube_radius: float = 0.2, resolution: int = 12, progress: Progress = None) -> TriangleMesh:

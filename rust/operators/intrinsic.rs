@@ -164,6 +164,31 @@ impl IntrinsicTriangulation {
             .collect()
     }
 
+    /// Mixed Voronoi areas of the vertices (Meyer et al. 2003), as [`voronoi_mass`](crate::operators::voronoi_mass) has them
+    /// for a mesh. They sum to the total area.
+    pub fn voronoi_mass(&self) -> Vec<f64> {
+        let (lengths, unit, weight) = self.scaled();
+        let corners = Corners::new(self);
+        let share = |corner: u32| {
+            let (face, at) = (corner as usize / 3, corner as usize % 3);
+            let Element { cotangents, area, .. } = element(lengths, face);
+            match cotangents.iter().position(|&cotangent| cotangent < 0.0) {
+                Some(obtuse) if obtuse == at => area / 2.0,
+                Some(_) => area / 4.0,
+                // half-edge k is opposite to corner k + 2
+                None => {
+                    let (after, before) = (lengths[3 * face + at], lengths[3 * face + (at + 2) % 3]);
+                    (after * after * cotangents[(at + 2) % 3] + before * before * cotangents[(at + 1) % 3]) / 8.0
+                }
+            }
+        };
+        (0..self.vertex_count())
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .map(|vertex| weight * unit * unit * corners.of(vertex).iter().map(|&corner| share(corner)).sum::<f64>())
+            .collect()
+    }
+
     /// The gradient, (2 m, n): rows `2 face` and `2 face + 1` give the vector on a triangle in its frame, whose first axis
     /// runs from corner 0 to corner 1.
     pub fn gradient(&self) -> Csr {

@@ -3,7 +3,6 @@
 //! The stiffness L is positive semidefinite, its rows sum to zero; Laplace-Beltrami is -diag(mass)^-1 L.
 
 pub mod cotangent;
+mod intrinsic;
 
 pub use cotangent::{MeshOperators, cotangent_operators, divergence, galerkin_mass, gradient, voronoi_mass};
-
-mod intrinsic;

@@ -55,6 +55,10 @@ impl Glue {
         self.faces
     }
 
+    pub fn twins(&self) -> &[u32] {
+        &self.twins
+    }
+
     pub fn twin(&self, half_edge: u32) -> u32 {
         self.twins[half_edge as usize]
     }

@@ -335,7 +335,74 @@ struct Diamond {
     cotangents: [f64; 2],
 }
 
+/// The triangle with the least height for its longest edge: its number and twice its area over that edge's square, 0 for
+/// corners on a line; NaN (counted as least) where that is beyond double precision. Faces that name a vertex twice count.
+/// `None` without faces.
+///
+/// ```
+/// use beltrami::{TriangleMesh, shape::thinnest_face};
+/// let mesh = TriangleMesh::new(2, vec![0.0, 0.0, 2.0, 0.0, 1.0, 0.5, 1.0, 9.0], vec![[0, 1, 3], [0, 1, 2]])?;
+/// assert_eq!(thinnest_face(&mesh), Some((1, 0.25)));
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+pub fn thinnest_face(mesh: &TriangleMesh<'_>) -> Option<(usize, f64)> {
+    let rank = |ratio: f64| if ratio.is_nan() { -1.0 } else { ratio };
+    (0..mesh.faces().len())
+        .into_par_iter()
+        .with_min_len(CHUNK)
+        .map(|face| (face, 2.0 * mesh.face_area(face) / mesh.squared_edge_lengths(face).into_iter().fold(0.0, f64::max)))
+        .min_by(|a, b| rank(a.1).total_cmp(&rank(b.1)).then(a.0.cmp(&b.0)))
+}
+
 impl IntrinsicTriangulation {
+    /// A triangulation from its parts, as [`IntrinsicTriangulation::faces`], [`twins`](IntrinsicTriangulation::twins),
+    /// [`lengths`](IntrinsicTriangulation::lengths) and [`is_cover`](IntrinsicTriangulation::is_cover) give them; they are checked.
+    /// It need not be Delaunay. `u32::MAX` in `twins` stands for a boundary.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the parts do not fit together, or lengths make a triangle without area.
+    pub fn from_parts(vertex_count: usize, faces: Vec<[u32; 3]>, twins: Vec<u32>, lengths: Vec<f64>, is_cover: bool) -> Result<Self> {
+        let all = 3 * faces.len();
+        if twins.len() != all || lengths.len() != all || all >= FREE as usize {
+            return Err(Error::input(format!(
+                "{} triangles with {} twins and {} lengths; each has three",
+                faces.len(),
+                twins.len(),
+                lengths.len()
+            )));
+        }
+        let tail = |h: usize| faces[h / 3][h % 3];
+        let tip = |h: usize| faces[h / 3][(h % 3 + 1) % 3];
+        let wrong = (0..all).into_par_iter().with_min_len(CHUNK).find_map_first(|h| {
+            let (twin, length) = (twins[h] as usize, lengths[h]);
+            if tail(h) as usize >= vertex_count {
+                return Some(format!("triangle {} refers to vertex {}, there are {vertex_count}", h / 3, tail(h)));
+            }
+            if !(length > 0.0 && (1e-290..1e140).contains(&length)) {
+                return Some(format!("half-edge {h} has length {length}; lengths must be positive and in the range of double precision"));
+            }
+            if h % 3 == 0 && area_of([length, lengths[h + 1], lengths[h + 2]]) <= 0.0 {
+                return Some(format!("the lengths of triangle {} make no triangle", h / 3));
+            }
+            let fits = twins[h] == FREE
+                || (twin < all
+                    && twin != h
+                    && twins[twin] as usize == h
+                    && lengths[twin] == length
+                    && tail(twin) == tip(h)
+                    && tip(twin) == tail(h));
+            (!fits).then(|| format!("half-edge {h} does not fit the half-edge {twin} that it is glued to"))
+        });
+        if let Some(text) = wrong {
+            return Err(Error::Input(text));
+        }
+        let longest = lengths.par_iter().copied().reduce(|| 0.0, f64::max);
+        let unit = if longest > 0.0 { 2f64.powi(longest.log2().round() as i32) } else { 1.0 };
+        let lengths = lengths.into_iter().map(|length| length / unit).collect();
+        let (weight, glue) = (if is_cover { 0.5 } else { 1.0 }, Glue::from_parts(faces, twins));
+        Ok(IntrinsicTriangulation { vertex_count, glue, lengths, unit, weight, flips: 0, mollified: 0, left_out: 0 })
+    }
+
     /// Lengths of a triangle's half-edges, in units.
     fn sides(&self, face: usize) -> [f64; 3] {
         [self.lengths[3 * face], self.lengths[3 * face + 1], self.lengths[3 * face + 2]]
@@ -460,6 +527,11 @@ impl IntrinsicTriangulation {
     /// If there is no such half-edge.
     pub fn twin(&self, half_edge: u32) -> Option<u32> {
         Some(self.glue.twin(half_edge)).filter(|&twin| twin != FREE)
+    }
+
+    /// The half-edge that each one is glued to, `u32::MAX` at the boundary.
+    pub fn twins(&self) -> &[u32] {
+        self.glue.twins()
     }
 
     /// Length of each half-edge; the two of an edge have the same.

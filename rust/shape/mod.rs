@@ -7,6 +7,6 @@ pub mod make;
 mod mesh;
 mod topology;
 
-pub use intrinsic::{IntrinsicTriangulation, intrinsic_delaunay, tufted};
+pub use intrinsic::{IntrinsicTriangulation, intrinsic_delaunay, thinnest_face, tufted};
 pub use mesh::TriangleMesh;
 pub use topology::{BoundaryLoop, Topology};

@@ -4,6 +4,7 @@ mod cholesky;
 mod convert;
 mod error;
 mod io;
+mod intrinsic;
 mod near;
 mod operators;
 mod run;
@@ -20,6 +21,7 @@ mod _core {
     use super::cholesky::Cholesky;
     #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
+    use super::intrinsic::{intrinsic_divergence, intrinsic_gradient, intrinsic_operators, thinnest_face};
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
     #[pymodule_export]

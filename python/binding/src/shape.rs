@@ -25,7 +25,7 @@ pub fn check_mesh(mesh: MeshArrays<'_>) -> PyResult<()> {
 type TopologyParts<'py> = (
     Bound<'py, PyArray2<i32>>,
     Bound<'py, PyArray1<i32>>,
-    (usize, i64, usize, usize, bool),
+    (usize, i64, usize, usize, bool, bool),
     Vec<Bound<'py, PyArray1<i32>>>,
     Option<String>,
     Option<[u32; 2]>,
@@ -46,7 +46,13 @@ pub fn topology<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<Topolog
         let inconsistent = topology.inconsistent_edge().map(|edge| topology.edges()[edge]);
         let one_sided = topology.turned_faces().err().map(|error| error.to_string());
         let loops: Vec<Vec<u32>> = topology.boundary_loops().into_iter().map(|curve| curve.vertices).collect();
-        let counts = (topology.euler_characteristic(), topology.unreferenced_vertices(), topology.degenerate_faces(), topology.is_closed());
+        let counts = (
+            topology.euler_characteristic(),
+            topology.unreferenced_vertices(),
+            topology.degenerate_faces(),
+            topology.is_closed(),
+            topology.non_manifold_edge().is_none(),
+        );
         let non_manifold = topology.non_manifold_reason();
         Ok((topology.edges().as_flattened().to_vec(), topology.components(), counts, loops, non_manifold, inconsistent, one_sided))
     })?;
@@ -55,7 +61,7 @@ pub fn topology<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<Topolog
     Ok((
         table_out(py, signed(edges), 2)?,
         vector_out(py, labels),
-        (components, counts.0, counts.1, counts.2, counts.3),
+        (components, counts.0, counts.1, counts.2, counts.3, counts.4),
         loops.into_iter().map(|curve| vector_out(py, signed(curve))).collect(),
         non_manifold,
         inconsistent,
