@@ -3,8 +3,8 @@
 mod cholesky;
 mod convert;
 mod error;
-mod io;
 mod intrinsic;
+mod io;
 mod near;
 mod operators;
 mod run;
@@ -19,9 +19,9 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::cholesky::Cholesky;
+    use super::intrinsic::{intrinsic_divergence, intrinsic_gradient, intrinsic_operators, thinnest_face};
     #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
-    use super::intrinsic::{intrinsic_divergence, intrinsic_gradient, intrinsic_operators, thinnest_face};
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
     #[pymodule_export]
