@@ -30,7 +30,7 @@ impl From<Error> for Refused {
 
 /// Runs plain loops compiled for this machine; `true` if it has fused multiply-add.
 #[inline(always)]
-fn vectorized<R>(work: impl Loops<R>) -> R {
+pub(crate) fn vectorized<R>(work: impl Loops<R>) -> R {
     #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
     if let Some(simd) = pulp::x86::V3::try_new() {
         return simd.vectorize(Fused(work, std::marker::PhantomData));
@@ -38,7 +38,9 @@ fn vectorized<R>(work: impl Loops<R>) -> R {
     work.run::<false>()
 }
 
-trait Loops<R> {
+/// Loops that are compiled with and without fused multiply-add.
+pub(crate) trait Loops<R> {
+    /// The work.
     fn run<const FUSED: bool>(self) -> R;
 }
 
@@ -54,7 +56,7 @@ impl<R, L: Loops<R>> pulp::NullaryFnOnce for Fused<R, L> {
 
 /// `c - a * b`
 #[inline(always)]
-fn minus<const FUSED: bool>(c: f64, a: f64, b: f64) -> f64 {
+pub(crate) fn minus<const FUSED: bool>(c: f64, a: f64, b: f64) -> f64 {
     if FUSED { (-a).mul_add(b, c) } else { c - a * b }
 }
 

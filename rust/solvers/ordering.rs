@@ -14,7 +14,8 @@ use rayon::prelude::*;
 use std::collections::BinaryHeap;
 
 const LEAF: usize = 120; // unknowns that minimum degree orders at once
-const SAMPLE: usize = 6000; // unknowns on which a cut is scored
+const SAMPLE: usize = 2500; // unknowns on which a cut is scored
+const FEW: usize = 200; // unknowns whose places tell where the middle is
 const BINS: usize = 24; // places of a cut along one direction
 const HALO: usize = 512; // unknowns around a leaf that are counted
 const SMALL: usize = 3000; // below this, the order without coordinates is approximate minimum degree
@@ -62,6 +63,7 @@ pub(crate) fn order(starts: &[usize], indices: &[u32], coordinates: Option<(&[f6
     };
     control.check()?;
     let Some(points) = points else { return minimum_degree(starts, indices) };
+
     let whole = sorted_in_space(starts, indices, &points);
     control.check()?;
     let mut order = vec![0; n];
@@ -305,8 +307,7 @@ fn dissect(graph: Graph, whole: &Graph, out: &mut [u32], control: &Control) -> R
         }
         return Ok(());
     };
-    let left = side.iter().filter(|&&side| side == 0).count();
-    let right = side.iter().filter(|&&side| side == 1).count();
+    let [left, right, _] = tally(&side);
     let (first, rest) = out.split_at_mut(left);
     let (second, between) = rest.split_at_mut(right);
     let separator = graph.names.iter().zip(&side).filter(|&(_, &side)| side == 2).map(|(&name, _)| name);
@@ -355,40 +356,65 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// Parallel planes: those at `low`, `low + 1 / steps`, ... along a direction.
+#[derive(Clone, Copy)]
+struct Planes {
+    direction: [f64; 3],
+    low: f64,
+    steps: f64,
+}
+
+impl Planes {
+    /// The first plane beyond a point; BINS if it is beyond all.
+    fn bin(&self, point: &[f64; 3]) -> u8 {
+        (((dot(point, &self.direction) - self.low) * self.steps + 1.0) as i32).clamp(0, BINS as i32) as u8
+    }
+}
+
 /// Two sides (0, 1) and the separator (2); None where no plane leaves two sides worth having.
+#[inline(never)]
 fn cut(graph: &Graph) -> Option<Vec<u8>> {
     let count = graph.len();
-    let sample: Vec<usize> = (0..count).step_by(count.div_ceil(SAMPLE)).collect();
-    let mut best: Option<(f64, [f64; 3], f64)> = None;
-    let mut along = Vec::new();
-    for direction in directions(graph, &sample) {
+    let stride = count.div_ceil(SAMPLE);
+    let sample: Vec<usize> = (0..count).step_by(stride).collect();
+    let few: Vec<usize> = (0..count).step_by(count.div_ceil(FEW)).collect();
+    let mut best: Option<(f64, Planes, u8)> = None;
+    let (mut along, mut bins) = (Vec::new(), Vec::new());
+    for direction in directions(graph, &few) {
         along.clear();
-        along.extend(sample.iter().map(|&vertex| dot(&graph.points[vertex], &direction)));
-        let quantile = |share: f64, along: &mut Vec<f64>| {
-            let at = ((along.len() - 1) as f64 * share) as usize;
-            *along.select_nth_unstable_by(at, f64::total_cmp).1
-        };
-        let (low, high) = (quantile(0.38, &mut along), quantile(0.62, &mut along));
-        // A cut at place t parts what lies at or below t from what lies above it.
-        let width = (high - low) / (BINS - 1) as f64;
-        if !(width > 0.0) {
+        along.extend(few.iter().map(|&vertex| dot(&graph.points[vertex], &direction)));
+        along.sort_unstable_by(f64::total_cmp);
+        let quantile = |share: f64| along[((along.len() - 1) as f64 * share) as usize];
+        let (low, high) = (quantile(0.38), quantile(0.62));
+        let steps = (BINS - 1) as f64 / (high - low);
+        if !(high > low && steps.is_finite()) {
             continue;
         }
-        let bin = |x: f64| (((x - low) / width).ceil().max(0.0) as usize).min(BINS);
+        let planes = Planes { direction, low, steps };
         let (mut below, mut rims) = ([0i32; BINS + 1], [[0i32; BINS + 1]; 2]);
-        for &vertex in &sample {
-            let own = bin(dot(&graph.points[vertex], &direction));
-            below[own] += 1;
-            let (mut least, mut most) = (own, own);
-            for &other in graph.neighbors(vertex) {
-                let other = bin(dot(&graph.points[other as usize], &direction));
-                least = least.min(other);
-                most = most.max(other);
+        let mut score = |own: u8, least: u8, most: u8| {
+            below[own as usize] += 1;
+            rims[0][own as usize] += 1;
+            rims[0][most as usize] -= 1;
+            rims[1][least as usize] += 1;
+            rims[1][own as usize] -= 1;
+        };
+        if stride == 1 {
+            bins.clear();
+            bins.extend(graph.points.iter().map(|point| planes.bin(point)));
+            for vertex in 0..count {
+                let own = bins[vertex];
+                let near = graph.neighbors(vertex).iter().map(|&other| bins[other as usize]);
+                let (least, most) = near.fold((own, own), |(least, most), bin| (least.min(bin), most.max(bin)));
+                score(own, least, most);
             }
-            rims[0][own] += 1;
-            rims[0][most] -= 1;
-            rims[1][least] += 1;
-            rims[1][own] -= 1;
+        } else {
+            for &vertex in &sample {
+                let own = planes.bin(&graph.points[vertex]);
+                let near = graph.neighbors(vertex).iter().map(|&other| planes.bin(&graph.points[other as usize]));
+                let (least, most) = near.fold((own, own), |(least, most), bin| (least.min(bin), most.max(bin)));
+                score(own, least, most);
+            }
         }
         let (mut under, mut lower, mut upper) = (0, 0, 0);
         for at in 0..BINS {
@@ -398,33 +424,38 @@ fn cut(graph: &Graph) -> Option<Vec<u8>> {
             let balance = (2.0 * f64::from(under) / sample.len() as f64 - 1.0).abs();
             let score = (f64::from(lower.min(upper)) + 0.5) * (1.0 + balance + 2.0 * balance * balance);
             if best.is_none_or(|(least, ..)| score < least) {
-                best = Some((score, direction, low + width * at as f64));
+                best = Some((score, planes, at as u8));
             }
         }
     }
-    let (_, direction, place) = best?;
-    let mut side: Vec<u8> = graph.points.iter().map(|point| u8::from(dot(point, &direction) > place)).collect();
+    let (_, planes, place) = best?;
+    let mut side: Vec<u8> = graph.points.iter().map(|point| u8::from(planes.bin(point) > place)).collect();
     let mut rims = [0usize; 2];
-    let rim = |side: &[u8], vertex: usize| graph.neighbors(vertex).iter().any(|&other| side[other as usize] != side[vertex]);
     let mut edge = Vec::new();
     for vertex in 0..count {
-        if rim(&side, vertex) {
+        let own = side[vertex];
+        if graph.neighbors(vertex).iter().fold(0, |differ, &other| differ | (side[other as usize] ^ own)) != 0 {
             edge.push(vertex);
-            rims[side[vertex] as usize] += 1;
+            rims[own as usize] += 1;
         }
     }
     let smaller = u8::from(rims[1] < rims[0]);
     edge.retain(|&vertex| side[vertex] == smaller);
     edge.iter().for_each(|&vertex| side[vertex] = 2);
     refine(graph, &mut side, edge);
-    let counts = side.iter().fold([0usize; 3], |mut counts, &side| {
-        counts[side as usize] += 1;
-        counts
-    });
+    let counts = tally(&side);
     (counts[0].min(counts[1]) * 8 >= count && counts[2] * 3 <= count).then_some(side)
 }
 
+/// How many are on each side, and between.
+fn tally(side: &[u8]) -> [usize; 3] {
+    let ones = side.iter().filter(|&&side| side == 1).count();
+    let twos = side.iter().filter(|&&side| side == 2).count();
+    [side.len() - ones - twos, ones, twos]
+}
+
 /// Directions to try: the axes and the diagonals between them, without those along which there is little to cut.
+#[inline(never)]
 fn directions(graph: &Graph, sample: &[usize]) -> Vec<[f64; 3]> {
     let mut mean = [0.0; 3];
     for &vertex in sample {
@@ -467,13 +498,11 @@ fn directions(graph: &Graph, sample: &[usize]) -> Vec<[f64; 3]> {
 }
 
 /// Moves unknowns out of the separator as long as it shrinks, over small hills too; both sides stay near half.
+#[inline(never)]
 fn refine(graph: &Graph, side: &mut [u8], mut separator: Vec<usize>) {
     let count = graph.len();
     let most = count * 11 / 20;
-    let mut counts = side.iter().fold([0usize; 3], |mut counts, &side| {
-        counts[side as usize] += 1;
-        counts
-    });
+    let mut counts = tally(side);
     let mut moved = vec![false; count];
     for _ in 0..3 {
         let before = separator.len();
@@ -556,6 +585,7 @@ fn refine(graph: &Graph, side: &mut [u8], mut separator: Vec<usize>) {
 }
 
 /// Exact minimum degree of a small set; unknowns around it count as neighbours that stay.
+#[inline(never)]
 fn leaf(graph: &Graph, whole: &Graph, out: &mut [u32]) {
     let count = graph.len();
     let mut around: Vec<u32> = Vec::new();

@@ -1,10 +1,14 @@
 //! Solving with the factor: down the elimination tree and up again, for a few right-hand sides kept side by side.
 
+#![allow(clippy::needless_range_loop)] // closures would not be compiled for the machine's vectors
+
+use super::dense::{Loops, minus, vectorized};
 use super::symbolic::{NONE, Symbolic};
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
 const CHUNK: usize = 4096;
+const PANEL: usize = 32; // columns solved before the rows below hear of it
 
 /// Vectors that solves use again. Which is used where has no influence on results.
 #[derive(Debug, Default)]
@@ -64,7 +68,7 @@ impl Block<'_> {
                 let step: &mut [[f64; W]] = correction;
                 let mut after_space = vec![[0.0; W]; n];
                 let after = self.residual(right, x, &mut after_space);
-                let worse: Vec<usize> = (0..columns).filter(|&k| !(after[k] <= before[k])).collect();
+                let worse: Vec<usize> = (0..columns).filter(|&k| after[k] > before[k] || after[k].is_nan()).collect();
                 if !worse.is_empty() {
                     for (x, step) in x.iter_mut().zip(step.iter()) {
                         worse.iter().for_each(|&k| x[k] -= step[k]);
@@ -265,29 +269,258 @@ fn gather<const W: usize>(places: &[u32], own: Rows<'_, W>, below: Rows<'_, W>, 
 
 /// Forward through one supernode: solves for its own rows, takes their part off the rows below.
 fn down<const W: usize>(panel: &[f64], x: &mut [[f64; W]], below: &mut [[f64; W]]) {
-    let columns = x.len();
-    let rows = columns + below.len();
-    for (k, column) in panel.chunks_exact(rows).enumerate() {
-        let (done, rest) = x.split_at_mut(k + 1);
-        let pivot = column[k];
-        let value = &mut done[k];
-        (0..W).for_each(|t| value[t] /= pivot);
-        for (target, &factor) in rest.iter_mut().chain(below.iter_mut()).zip(&column[k + 1..]) {
-            (0..W).for_each(|t| target[t] -= factor * value[t]);
-        }
+    match W {
+        1 => vectorized(DownOne { panel, x: x.as_flattened_mut(), below: below.as_flattened_mut() }),
+        4 => vectorized(Down::<W, 4> { panel, x, below }),
+        _ => vectorized(Down::<W, 8> { panel, x, below }),
     }
 }
 
 /// Backward through one supernode.
 fn up<const W: usize>(panel: &[f64], x: &mut [[f64; W]], below: &[[f64; W]]) {
-    let columns = x.len();
-    let rows = columns + below.len();
-    for (k, column) in panel.chunks_exact(rows).enumerate().rev() {
-        let (before, done) = x.split_at_mut(k + 1);
-        let value = &mut before[k];
-        for (source, &factor) in done.iter().chain(below).zip(&column[k + 1..]) {
-            (0..W).for_each(|t| value[t] -= factor * source[t]);
-        }
-        (0..W).for_each(|t| value[t] /= column[k]);
+    match W {
+        1 => vectorized(UpOne { panel, x: x.as_flattened_mut(), below: below.as_flattened() }),
+        4 => vectorized(Up::<W, 4> { panel, x, below }),
+        _ => vectorized(Up::<W, 8> { panel, x, below }),
     }
+}
+
+/// `H` right-hand sides of the `W` are in registers at once.
+struct Down<'a, const W: usize, const H: usize> {
+    panel: &'a [f64],
+    x: &'a mut [[f64; W]],
+    below: &'a mut [[f64; W]],
+}
+
+impl<const W: usize, const H: usize> Loops<()> for Down<'_, W, H> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        let Down { panel, x, below } = self;
+        let columns = x.len();
+        let rows = columns + below.len();
+        for from in (0..columns).step_by(PANEL) {
+            let to = (from + PANEL).min(columns);
+            let block = &panel[from * rows..to * rows];
+            let (done, rest) = x.split_at_mut(to);
+            let own = &mut done[from..];
+            for (k, column) in block.chunks_exact(rows).enumerate() {
+                let (solved, open) = own.split_at_mut(k + 1);
+                let value = &mut solved[k];
+                let inverse = 1.0 / column[from + k];
+                for t in 0..W {
+                    value[t] *= inverse;
+                }
+                for (target, &factor) in open.iter_mut().zip(&column[from + k + 1..to]) {
+                    for t in 0..W {
+                        target[t] = minus::<FUSED>(target[t], factor, value[t]);
+                    }
+                }
+            }
+            take::<W, H, FUSED>(block, rows, to, own, rest);
+            take::<W, H, FUSED>(block, rows, columns, own, below);
+        }
+    }
+}
+
+/// `target -= L x` for the rows of a block of L that start at row `first`.
+#[inline(always)]
+fn take<const W: usize, const H: usize, const FUSED: bool>(
+    block: &[f64],
+    rows: usize,
+    first: usize,
+    x: &[[f64; W]],
+    target: &mut [[f64; W]],
+) {
+    let (fours, rest) = target.as_chunks_mut::<4>();
+    let mut row = first;
+    for four in fours {
+        for half in (0..W).step_by(H) {
+            let mut sums = [[0.0; H]; 4];
+            for r in 0..4 {
+                sums[r].copy_from_slice(&four[r][half..half + H]);
+            }
+            for (column, x) in block.chunks_exact(rows).zip(x) {
+                let (factors, x) = (&column[row..row + 4], &x[half..half + H]);
+                for r in 0..4 {
+                    for t in 0..H {
+                        sums[r][t] = minus::<FUSED>(sums[r][t], factors[r], x[t]);
+                    }
+                }
+            }
+            for r in 0..4 {
+                four[r][half..half + H].copy_from_slice(&sums[r]);
+            }
+        }
+        row += 4;
+    }
+    for one in rest {
+        for half in (0..W).step_by(H) {
+            let mut sums = [0.0; H];
+            sums.copy_from_slice(&one[half..half + H]);
+            for (column, x) in block.chunks_exact(rows).zip(x) {
+                let (factor, x) = (column[row], &x[half..half + H]);
+                for t in 0..H {
+                    sums[t] = minus::<FUSED>(sums[t], factor, x[t]);
+                }
+            }
+            one[half..half + H].copy_from_slice(&sums);
+        }
+        row += 1;
+    }
+}
+
+struct Up<'a, const W: usize, const H: usize> {
+    panel: &'a [f64],
+    x: &'a mut [[f64; W]],
+    below: &'a [[f64; W]],
+}
+
+impl<const W: usize, const H: usize> Loops<()> for Up<'_, W, H> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        let Up { panel, x, below } = self;
+        let columns = x.len();
+        let rows = columns + below.len();
+        let mut to = columns;
+        while to > 0 {
+            // Four columns at a time; what is left over comes last, one by one.
+            let from = if to >= 4 { to - 4 } else { to - 1 };
+            let (own, solved) = x[from..].split_at_mut(to - from);
+            let block = &panel[from * rows..to * rows];
+            if let ([a, b, c, d], true) = (&mut *own, to - from == 4) {
+                let column = |k: usize| &block[k * rows + to..(k + 1) * rows];
+                let (p, q, r, s) = (column(0), column(1), column(2), column(3));
+                for half in (0..W).step_by(H) {
+                    let mut sums = [[0.0; H]; 4];
+                    let near = solved.len();
+                    for (begin, source) in [(0, &*solved), (near, below)] {
+                        let end = begin + source.len();
+                        let (p, q, r, s) = (&p[begin..end], &q[begin..end], &r[begin..end], &s[begin..end]);
+                        for ((((x, &p), &q), &r), &s) in source.iter().zip(p).zip(q).zip(r).zip(s) {
+                            let (x, factors) = (&x[half..half + H], [p, q, r, s]);
+                            for k in 0..4 {
+                                for t in 0..H {
+                                    sums[k][t] = minus::<FUSED>(sums[k][t], factors[k], x[t]);
+                                }
+                            }
+                        }
+                    }
+                    for (own, sums) in [&mut *a, &mut *b, &mut *c, &mut *d].into_iter().zip(&sums) {
+                        for t in 0..H {
+                            own[half + t] += sums[t];
+                        }
+                    }
+                }
+            } else {
+                let (near, far) = block[to..].split_at(solved.len());
+                for (x, &factor) in solved.iter().zip(near) {
+                    for t in 0..W {
+                        own[0][t] = minus::<FUSED>(own[0][t], factor, x[t]);
+                    }
+                }
+                for (x, &factor) in below.iter().zip(far) {
+                    for t in 0..W {
+                        own[0][t] = minus::<FUSED>(own[0][t], factor, x[t]);
+                    }
+                }
+            }
+            for (k, column) in block.chunks_exact(rows).enumerate().rev() {
+                let (open, done) = own.split_at_mut(k + 1);
+                let value = &mut open[k];
+                for (source, &factor) in done.iter().zip(&column[from + k + 1..to]) {
+                    for t in 0..W {
+                        value[t] = minus::<FUSED>(value[t], factor, source[t]);
+                    }
+                }
+                let inverse = 1.0 / column[from + k];
+                for t in 0..W {
+                    value[t] *= inverse;
+                }
+            }
+            to = from;
+        }
+    }
+}
+
+struct DownOne<'a> {
+    panel: &'a [f64],
+    x: &'a mut [f64],
+    below: &'a mut [f64],
+}
+
+impl Loops<()> for DownOne<'_> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        let DownOne { panel, x, below } = self;
+        let columns = x.len();
+        let rows = columns + below.len();
+        for from in (0..columns).step_by(4) {
+            let to = (from + 4).min(columns);
+            let block = &panel[from * rows..to * rows];
+            let (done, rest) = x.split_at_mut(to);
+            let own = &mut done[from..];
+            for (k, column) in block.chunks_exact(rows).enumerate() {
+                own[k] /= column[from + k];
+                let (value, later) = (own[k], &column[from + k + 1..to]);
+                for (x, &factor) in own[k + 1..].iter_mut().zip(later) {
+                    *x = minus::<FUSED>(*x, factor, value);
+                }
+            }
+            let parts = [(to, rest), (columns, &mut *below)];
+            for (first, target) in parts {
+                let size = target.len();
+                let column = |k: usize| &block[k * rows + first..][..size];
+                if let &mut [a, b, c, d] = own {
+                    for ((((target, &p), &q), &r), &s) in target.iter_mut().zip(column(0)).zip(column(1)).zip(column(2)).zip(column(3)) {
+                        let sum = minus::<FUSED>(minus::<FUSED>(*target, p, a), q, b);
+                        *target = minus::<FUSED>(minus::<FUSED>(sum, r, c), s, d);
+                    }
+                } else {
+                    for (k, &value) in own.iter().enumerate() {
+                        for (x, &factor) in target.iter_mut().zip(column(k)) {
+                            *x = minus::<FUSED>(*x, factor, value);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+struct UpOne<'a> {
+    panel: &'a [f64],
+    x: &'a mut [f64],
+    below: &'a [f64],
+}
+
+impl Loops<()> for UpOne<'_> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        let UpOne { panel, x, below } = self;
+        let columns = x.len();
+        let rows = columns + below.len();
+        for (k, column) in panel.chunks_exact(rows).enumerate().rev() {
+            let (open, done) = x.split_at_mut(k + 1);
+            let value = open[k] + inner::<FUSED>(&column[k + 1..columns], done) + inner::<FUSED>(&column[columns..], below);
+            open[k] = value / column[k];
+        }
+    }
+}
+
+/// Minus the inner product, in eight sums side by side.
+#[inline(always)]
+fn inner<const FUSED: bool>(a: &[f64], b: &[f64]) -> f64 {
+    let mut sums = [0.0; 8];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    for (a, b) in a.iter().zip(b) {
+        for t in 0..8 {
+            sums[t] = minus::<FUSED>(sums[t], a[t], b[t]);
+        }
+    }
+    let mut rest = 0.0;
+    for (&a, &b) in a_rest.iter().zip(b_rest) {
+        rest = minus::<FUSED>(rest, a, b);
+    }
+    let [a, b, c, d, e, f, g, h] = sums;
+    (((a + e) + (b + f)) + ((c + g) + (d + h))) + rest
 }

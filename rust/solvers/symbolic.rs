@@ -596,8 +596,9 @@ pub(crate) fn same_sums(n: usize, starts: &[usize], indices: &[u32], more: impl 
         .with_min_len(CHUNK)
         .map(|row| {
             let mut sum = 0u64;
-            for entry in starts[row]..starts[row + 1] {
-                let column = indices[entry] as usize;
+            let first = starts[row];
+            for (at, &column) in indices[first..starts[row + 1]].iter().enumerate() {
+                let (entry, column) = (first + at, column as usize);
                 let (low, high) = (row.min(column), row.max(column));
                 let hash = mix(((low as u64) << 32 | high as u64).wrapping_add(more(entry).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
                 sum = match row.cmp(&column) {
