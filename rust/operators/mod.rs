@@ -6,3 +6,9 @@ pub mod cotangent;
 mod intrinsic;
 
 pub use cotangent::{MeshOperators, cotangent_operators, divergence, galerkin_mass, gradient, voronoi_mass};
+
+pub(crate) mod dense;
+pub(crate) mod frames;
+pub mod local_mesh;
+
+pub use local_mesh::{LocalMesh, LocalMeshOptions, VotedSimplices, local_mesh};

@@ -5,6 +5,7 @@ mod convert;
 mod error;
 mod intrinsic;
 mod io;
+mod local_mesh;
 mod near;
 mod operators;
 mod run;
@@ -20,6 +21,9 @@ mod _core {
     #[pymodule_export]
     use super::cholesky::Cholesky;
     use super::intrinsic::{intrinsic_divergence, intrinsic_gradient, intrinsic_operators, thinnest_face};
+    use super::local_mesh::{
+        local_edge_length, local_gradients, local_mass, local_mesh, local_stiffness, local_unit_gradient_divergence, local_volumes,
+    };
     #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
     #[pymodule_export]

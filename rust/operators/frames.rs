@@ -1,0 +1,555 @@
+//! Local geometry of a point cloud: neighbours, tangent frames, spacing, the dimension the points themselves suggest.
+//!
+//! The frame of a point starts from the principal axes of its nearest neighbours; then, twice, the neighbours' normal
+//! components are fitted by a cubic polynomial of the tangential ones, and the frame is tilted by the fit's linear term, which
+//! removes what curvature and an uneven neighbourhood do to principal axes. Neighbours that lie rather along the normal than
+//! along the surface belong to another sheet and are left out.
+
+use super::dense::{Monomials, cholesky, cholesky_solve, symmetric_eigen};
+use crate::control::Control;
+use crate::error::{Error, Result};
+use crate::near::{KdTree, Scratch};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// How many points one parallel task takes.
+pub(crate) const TASK: usize = 128;
+
+/// A neighbour whose normal component is a greater part of its distance than this lies on another sheet.
+pub(crate) const STEEP: f64 = 0.75;
+
+/// The neighbour whose distance counts as local spacing.
+const SPACING_RANK: usize = 6;
+
+/// A point whose spacing is so many times that of its neighbours, and of the whole cloud, is isolated.
+const ISOLATED: f64 = 20.0;
+
+/// Points in R^D made ready: moved to the origin, scaled by a power of two to size 1 and renumbered so that near points have
+/// near numbers ("ranks"); all kernels on clouds work in ranks and hand out the caller's numbers.
+#[derive(Debug)]
+pub(crate) struct Cloud {
+    pub(crate) ambient: usize,
+    pub(crate) points: Vec<f64>,
+    /// What the coordinates were multiplied by.
+    pub(crate) scale: f64,
+    /// The caller's number of each rank, and back.
+    pub(crate) original: Vec<u32>,
+    pub(crate) rank: Vec<u32>,
+    pub(crate) tree: KdTree,
+}
+
+/// Neighbours and frames of every point, by rank.
+#[derive(Debug)]
+pub(crate) struct Frames {
+    pub(crate) dimension: usize,
+    /// Neighbours a point, nearest first, without the point itself.
+    pub(crate) width: usize,
+    pub(crate) neighbors: Vec<u32>,
+    /// `dimension` orthonormal vectors of R^D a point.
+    pub(crate) axes: Vec<f64>,
+    /// Distance of the 6th neighbour, in scaled units.
+    pub(crate) spacing: Vec<f64>,
+    /// The dimension that the growth of the neighbours' distances suggests.
+    pub(crate) estimate: f64,
+}
+
+/// Names some indices for a message: "3, 17, 20 and 5 more".
+pub(crate) fn name_some(indices: &[u32]) -> String {
+    let mut text = indices.iter().take(8).map(u32::to_string).collect::<Vec<_>>().join(", ");
+    if indices.len() > 8 {
+        text += &format!(" and {} more", indices.len() - 8);
+    }
+    text
+}
+
+impl Cloud {
+    pub(crate) fn new(points: &[f64], ambient: usize, dimension: usize, control: &Control) -> Result<Cloud> {
+        if ambient == 0 || !points.len().is_multiple_of(ambient) {
+            return Err(Error::input(format!("{} coordinates are no whole number of points in R^{ambient}", points.len())));
+        }
+        if dimension == 0 || dimension > ambient {
+            return Err(Error::input(format!("intrinsic dimension {dimension} of points in R^{ambient}; it must be from 1 to {ambient}")));
+        }
+        let count = points.len() / ambient;
+        if count < dimension + 2 {
+            return Err(Error::input(format!(
+                "{count} points; operators of a {dimension}-dimensional cloud need {} or more",
+                dimension + 2
+            )));
+        }
+        if count > u32::MAX as usize / 2 {
+            return Err(Error::input(format!("{count} points; a cloud can have up to 2^31 - 1")));
+        }
+        if let Some(at) = points.iter().position(|number| !number.is_finite()) {
+            return Err(Error::input(format!("coordinate {} of point {} is {}; remove that point", at % ambient, at / ambient, points[at])));
+        }
+        let (mut low, mut high) = (vec![f64::INFINITY; ambient], vec![f64::NEG_INFINITY; ambient]);
+        for point in points.chunks_exact(ambient) {
+            for ((low, high), &x) in low.iter_mut().zip(&mut high).zip(point) {
+                *low = low.min(x);
+                *high = high.max(x);
+            }
+        }
+        let extent = low.iter().zip(&high).map(|(a, b)| b / 2.0 - a / 2.0).fold(0.0, f64::max);
+        if extent == 0.0 {
+            return Err(Error::input(format!(
+                "all {count} points, 0 to {}, are at one place; an operator needs points that differ (deduplicate=True keeps one of each)",
+                count - 1
+            )));
+        }
+        let scale = (-extent.log2().ceil()).clamp(-1023.0, 1023.0).exp2();
+        let middle: Vec<f64> = low.iter().zip(&high).map(|(a, b)| (a / 2.0 + b / 2.0) * scale).collect();
+        let mut scaled = vec![0.0; points.len()];
+        scaled.par_chunks_mut(TASK * 32 * ambient).zip(points.par_chunks(TASK * 32 * ambient)).for_each(|(out, points)| {
+            for (out, point) in out.chunks_exact_mut(ambient).zip(points.chunks_exact(ambient)) {
+                for ((out, x), middle) in out.iter_mut().zip(point).zip(&middle) {
+                    *out = x * scale - middle;
+                }
+            }
+        });
+        let tree = KdTree::new(&scaled, ambient, control)?;
+        let original = tree.order().to_vec();
+        let mut rank = vec![0; count];
+        let mut ordered = Vec::with_capacity(scaled.len());
+        for (at, &index) in original.iter().enumerate() {
+            rank[index as usize] = at as u32;
+            ordered.extend_from_slice(&scaled[index as usize * ambient..][..ambient]);
+        }
+        Ok(Cloud { ambient, points: ordered, scale, original, rank, tree })
+    }
+
+    pub(crate) fn count(&self) -> usize {
+        self.original.len()
+    }
+
+    pub(crate) fn point(&self, rank: usize) -> &[f64] {
+        &self.points[rank * self.ambient..][..self.ambient]
+    }
+
+    /// The `width` nearest other points as ranks, nearest first, their distances left in `scratch` from the second on.
+    pub(crate) fn neighbors_into(&self, rank: usize, width: usize, scratch: &mut Scratch, out: &mut Vec<u32>) -> Result<()> {
+        self.tree.nearest_into(self.point(rank), width + 1, scratch)?;
+        out.clear();
+        let own = self.original[rank];
+        out.extend(scratch.indices().iter().filter(|&&index| index != own).take(width).map(|&index| self.rank[index as usize]));
+        Ok(())
+    }
+
+    /// The caller's numbers of some ranks, ascending.
+    pub(crate) fn names(&self, ranks: impl Iterator<Item = usize>) -> Vec<u32> {
+        let mut names: Vec<u32> = ranks.map(|rank| self.original[rank]).collect();
+        names.sort_unstable();
+        names
+    }
+}
+
+/// Counts finished tasks and passes the share of work on.
+pub(crate) struct Progress<'a> {
+    done: AtomicUsize,
+    total: usize,
+    from: f64,
+    to: f64,
+    control: &'a Control,
+}
+
+impl<'a> Progress<'a> {
+    pub(crate) fn new(total: usize, from: f64, to: f64, control: &'a Control) -> Self {
+        Progress { done: AtomicUsize::new(0), total: total.max(1), from, to, control }
+    }
+
+    pub(crate) fn step(&self, count: usize) -> Result<()> {
+        let done = self.done.fetch_add(count, Ordering::Relaxed) + count;
+        self.control.report(self.from + (self.to - self.from) * done as f64 / self.total as f64)
+    }
+}
+
+/// What is wrong with a point.
+#[derive(Clone, Copy, PartialEq)]
+enum State {
+    Sound,
+    Duplicate,
+    Flat,
+}
+
+/// Memory of one task.
+struct Work {
+    near: Scratch,
+    found: Vec<u32>,
+    offsets: Vec<f64>,
+    distances: Vec<f64>,
+    rows: Vec<f64>,
+    matrix: Vec<f64>,
+    values: Vec<f64>,
+    spare: Vec<f64>,
+    fit: Fit,
+}
+
+/// Weighted least squares by a polynomial of a few variables: the functionals that give its linear coefficients.
+struct Fit {
+    bases: [Monomials; 3],
+    basis: Vec<f64>,
+    weights: Vec<f64>,
+    matrix: Vec<f64>,
+    right: Vec<f64>,
+    tangential: Vec<f64>,
+    normal: Vec<f64>,
+    slope: Vec<f64>,
+}
+
+impl Work {
+    fn new(ambient: usize, dimension: usize, width: usize) -> Self {
+        let bases = [1, 2, 3].map(|degree| Monomials::new(dimension, degree));
+        let terms = bases[2].len();
+        let order = ambient.min(2 * width + 2);
+        Work {
+            near: Scratch::default(),
+            found: vec![],
+            offsets: vec![],
+            distances: vec![],
+            rows: vec![],
+            matrix: vec![0.0; order * order],
+            values: vec![0.0; order],
+            spare: vec![0.0; order],
+            fit: Fit {
+                bases,
+                basis: vec![],
+                weights: vec![],
+                matrix: vec![0.0; terms * terms],
+                right: vec![0.0; terms * dimension],
+                tangential: vec![],
+                normal: vec![],
+                slope: vec![0.0; dimension * ambient],
+            },
+        }
+    }
+
+    fn offsets(&mut self, cloud: &Cloud, rank: usize, neighbors: &[u32]) {
+        let here = cloud.point(rank);
+        self.offsets.clear();
+        self.distances.clear();
+        for &neighbor in neighbors {
+            let mut sum = 0.0;
+            for (x, o) in cloud.point(neighbor as usize).iter().zip(here) {
+                self.offsets.push(x - o);
+                sum += (x - o) * (x - o);
+            }
+            self.distances.push(sum.sqrt());
+        }
+    }
+
+    /// Principal axes of the point (at the origin) and its first `count` neighbours; the greatest and the d-th variance.
+    fn principal_axes(&mut self, ambient: usize, dimension: usize, count: usize, axes: &mut [f64]) -> Option<(f64, f64)> {
+        let reach = self.distances[count - 1];
+        let rows = count + 1;
+        self.rows.clear();
+        self.rows.resize(rows * ambient, 0.0);
+        let mut mean = vec![0.0; ambient];
+        let mut total = 1.0;
+        let weight = |distance: f64| (-2.0 * (distance / reach) * (distance / reach)).exp();
+        for j in 0..count {
+            let w = weight(self.distances[j]);
+            total += w;
+            for (mean, x) in mean.iter_mut().zip(&self.offsets[j * ambient..][..ambient]) {
+                *mean += w * x;
+            }
+        }
+        for x in &mut mean {
+            *x /= total;
+        }
+        for j in 0..rows {
+            let root = if j == count { 1.0 } else { weight(self.distances[j]).sqrt() };
+            for a in 0..ambient {
+                let x = if j == count { 0.0 } else { self.offsets[j * ambient + a] };
+                self.rows[j * ambient + a] = root * (x - mean[a]) / reach;
+            }
+        }
+        let order = ambient.min(rows);
+        let matrix = &mut self.matrix[..order * order];
+        matrix.fill(0.0);
+        if ambient <= rows {
+            for row in self.rows.chunks_exact(ambient) {
+                for a in 0..ambient {
+                    for b in 0..=a {
+                        matrix[a * ambient + b] += row[a] * row[b];
+                    }
+                }
+            }
+        } else {
+            for i in 0..rows {
+                for j in 0..=i {
+                    matrix[i * rows + j] =
+                        self.rows[i * ambient..][..ambient].iter().zip(&self.rows[j * ambient..][..ambient]).map(|(x, y)| x * y).sum();
+                }
+            }
+        }
+        for a in 0..order {
+            for b in 0..a {
+                matrix[b * order + a] = matrix[a * order + b];
+            }
+        }
+        if !symmetric_eigen(matrix, order, &mut self.values, &mut self.spare) || order < dimension {
+            return None;
+        }
+        for a in 0..dimension {
+            let column = order - 1 - a;
+            let axis = &mut axes[a * ambient..][..ambient];
+            if ambient <= rows {
+                for (row, x) in axis.iter_mut().enumerate() {
+                    *x = matrix[row * order + column];
+                }
+            } else {
+                axis.fill(0.0);
+                for (j, row) in self.rows.chunks_exact(ambient).enumerate() {
+                    let u = matrix[j * order + column];
+                    for (x, r) in axis.iter_mut().zip(row) {
+                        *x += u * r;
+                    }
+                }
+            }
+        }
+        let variances = (self.values[order - 1], self.values[order - dimension]);
+        (variances.1 > 1e-12 * variances.0 && orthonormalize(axes, ambient)).then_some(variances)
+    }
+
+    /// Tilts the frame by the linear term of a polynomial fit of the normal components; as it was if there are too few
+    /// neighbours for a fit.
+    fn tilt(&mut self, ambient: usize, dimension: usize, axes: &mut [f64]) {
+        let fit = &mut self.fit;
+        let Some(&reach) = self.distances.last() else { return };
+        fit.tangential.clear();
+        fit.normal.clear();
+        fit.weights.clear();
+        for (offset, &distance) in self.offsets.chunks_exact(ambient).zip(&self.distances) {
+            let start = fit.normal.len();
+            fit.normal.extend_from_slice(offset);
+            let normal = &mut fit.normal[start..];
+            for axis in axes.chunks_exact(ambient) {
+                let t: f64 = axis.iter().zip(offset).map(|(a, x)| a * x).sum();
+                for (normal, a) in normal.iter_mut().zip(axis) {
+                    *normal -= t * a;
+                }
+                fit.tangential.push(t / reach);
+            }
+            let height = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
+            if height > STEEP * distance {
+                fit.normal.truncate(start);
+                fit.tangential.truncate(start / ambient * dimension);
+            } else {
+                fit.weights.push((-3.0 * (distance / reach) * (distance / reach)).exp());
+            }
+        }
+        let count = fit.weights.len();
+        for degree in (0..3).rev() {
+            let monomials = &fit.bases[degree];
+            let terms = monomials.len();
+            if 2 * (count + 1) < 3 * terms {
+                continue;
+            }
+            fit.basis.resize(count * terms, 0.0);
+            let matrix = &mut fit.matrix[..terms * terms];
+            matrix.fill(0.0);
+            matrix[0] = 1.0; // the point itself
+            for j in 0..count {
+                let basis = &mut fit.basis[j * terms..][..terms];
+                monomials.evaluate(&fit.tangential[j * dimension..][..dimension], basis);
+                for a in 0..terms {
+                    let x = fit.weights[j] * basis[a];
+                    for b in 0..=a {
+                        matrix[a * terms + b] += x * basis[b];
+                    }
+                }
+            }
+            if !cholesky(matrix, terms, 1e-10) {
+                continue;
+            }
+            fit.slope.fill(0.0);
+            for a in 0..dimension {
+                let right = &mut fit.right[..terms];
+                right.fill(0.0);
+                right[1 + a] = 1.0;
+                cholesky_solve(matrix, terms, right);
+                let slope = &mut fit.slope[a * ambient..][..ambient];
+                for j in 0..count {
+                    let basis = &fit.basis[j * terms..][..terms];
+                    let c = fit.weights[j] * basis.iter().zip(right.iter()).map(|(x, y)| x * y).sum::<f64>();
+                    for (slope, normal) in slope.iter_mut().zip(&fit.normal[j * ambient..][..ambient]) {
+                        *slope += c * normal;
+                    }
+                }
+            }
+            let steepness = fit.slope.iter().map(|x| x * x).sum::<f64>().sqrt() / reach;
+            if steepness < 1.0 {
+                for (axis, slope) in axes.iter_mut().zip(&fit.slope) {
+                    *axis += slope / reach;
+                }
+                orthonormalize(axes, ambient);
+                return;
+            }
+        }
+    }
+}
+
+/// Gram-Schmidt, twice; `false` if the vectors are dependent.
+fn orthonormalize(axes: &mut [f64], ambient: usize) -> bool {
+    for at in 0..axes.len() / ambient {
+        let (before, rest) = axes.split_at_mut(at * ambient);
+        let axis = &mut rest[..ambient];
+        for _ in 0..2 {
+            for other in before.chunks_exact(ambient) {
+                let dot: f64 = other.iter().zip(axis.iter()).map(|(x, y)| x * y).sum();
+                for (x, y) in axis.iter_mut().zip(other) {
+                    *x -= dot * y;
+                }
+            }
+            let length = axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+            if !(length > 1e-300) {
+                return false;
+            }
+            for x in axis.iter_mut() {
+                *x /= length;
+            }
+        }
+    }
+    true
+}
+
+impl Frames {
+    /// Frames of a cloud's points, and their `width` nearest neighbours.
+    pub(crate) fn new(cloud: &Cloud, dimension: usize, width: usize, control: &Control, from: f64, to: f64) -> Result<Frames> {
+        let (count, ambient) = (cloud.count(), cloud.ambient);
+        let width = width.min(count - 1);
+        let few = [8, 12, 20][dimension.min(3) - 1].min(width); // for principal axes
+        let some = [12, 24, 40][dimension.min(3) - 1].min(width); // for the polynomial fit
+        let near = (SPACING_RANK - 1).min(width - 1);
+        let mut neighbors = vec![0u32; count * width];
+        let mut axes = vec![0.0; count * dimension * ambient];
+        let mut spacing = vec![0.0; count];
+        let mut growth = vec![0.0; count];
+        let mut states = vec![State::Sound; count];
+        let progress = Progress::new(count, from, to, control);
+        (neighbors.par_chunks_mut(TASK * width))
+            .zip(axes.par_chunks_mut(TASK * dimension * ambient))
+            .zip(spacing.par_chunks_mut(TASK))
+            .zip(growth.par_chunks_mut(TASK))
+            .zip(states.par_chunks_mut(TASK))
+            .enumerate()
+            .try_for_each_init(
+                || Work::new(ambient, dimension, width),
+                |work, (task, ((((neighbors, axes), spacing), growth), states))| -> Result<()> {
+                    let tasks = neighbors.chunks_exact_mut(width).zip(axes.chunks_exact_mut(dimension * ambient));
+                    for (at, (neighbors, axes)) in tasks.enumerate() {
+                        let rank = task * TASK + at;
+                        let mut found = std::mem::take(&mut work.found);
+                        cloud.neighbors_into(rank, width, &mut work.near, &mut found)?;
+                        neighbors.copy_from_slice(&found);
+                        work.offsets(cloud, rank, &found[..some]);
+                        spacing[at] = work.distances[near.min(some - 1)];
+                        growth[at] = (work.distances[some - 1] / spacing[at]).ln();
+                        if !(work.distances[0] > 1e-10 * spacing[at]) {
+                            states[at] = State::Duplicate;
+                            work.found = found;
+                            continue;
+                        }
+                        let mut sound = match work.principal_axes(ambient, dimension, few, axes) {
+                            Some((most, least)) if least > 0.02 * most || some == few => true,
+                            _ => work.principal_axes(ambient, dimension, some, axes).is_some(),
+                        };
+                        if !sound {
+                            // Scan lines: all near neighbours stand in a row.
+                            let more = (2 * width).min(cloud.count() - 1);
+                            cloud.neighbors_into(rank, more, &mut work.near, &mut found)?;
+                            work.offsets(cloud, rank, &found);
+                            sound = work.principal_axes(ambient, dimension, more, axes).is_some();
+                        }
+                        work.found = found;
+                        if !sound {
+                            states[at] = State::Flat;
+                        } else if ambient == dimension {
+                            axes.fill(0.0);
+                            axes.iter_mut().step_by(ambient + 1).for_each(|x| *x = 1.0);
+                        } else {
+                            work.tilt(ambient, dimension, axes);
+                            work.tilt(ambient, dimension, axes);
+                        }
+                    }
+                    progress.step(states.len())
+                },
+            )?;
+        refuse_duplicates(cloud, &states, &neighbors, width)?;
+        refuse_isolated(cloud, &spacing, &neighbors, width)?;
+        refuse_flat(cloud, &states, dimension)?;
+        let harmonic: f64 = (near + 1..some).map(|l| 1.0 / l as f64).sum();
+        let mean = growth.iter().sum::<f64>() / count as f64;
+        let estimate = if mean > 0.0 && some > near + 1 { harmonic / mean } else { dimension as f64 };
+        Ok(Frames { dimension, width, neighbors, axes, spacing, estimate })
+    }
+
+    pub(crate) fn neighbors(&self, rank: usize) -> &[u32] {
+        &self.neighbors[rank * self.width..][..self.width]
+    }
+
+    pub(crate) fn axes(&self, rank: usize, ambient: usize) -> &[f64] {
+        let size = self.dimension * ambient;
+        &self.axes[rank * size..][..size]
+    }
+}
+
+fn refuse_duplicates(cloud: &Cloud, states: &[State], neighbors: &[u32], width: usize) -> Result<()> {
+    let mut copies: Vec<(u32, u32)> = (0..states.len())
+        .filter(|&rank| states[rank] == State::Duplicate)
+        .map(|rank| (cloud.original[rank], cloud.original[neighbors[rank * width] as usize]))
+        .collect();
+    if copies.is_empty() {
+        return Ok(());
+    }
+    copies.sort_unstable();
+    let mut text =
+        copies.iter().take(6).map(|(point, other)| format!("point {point} coincides with point {other}")).collect::<Vec<_>>().join(", ");
+    if copies.len() > 6 {
+        text += &format!(" ({} points in all)", copies.len());
+    }
+    Err(Error::input(format!("{text}; remove copies, or let deduplicate=True keep the first of each")))
+}
+
+fn refuse_isolated(cloud: &Cloud, spacing: &[f64], neighbors: &[u32], width: usize) -> Result<()> {
+    let middle = |values: &mut Vec<f64>| {
+        let half = values.len() / 2;
+        *values.select_nth_unstable_by(half, f64::total_cmp).1
+    };
+    let usual = middle(&mut spacing.to_vec());
+    let lonely: Vec<usize> = (0..spacing.len())
+        .filter(|&rank| spacing[rank] > ISOLATED * usual)
+        .filter(|&rank| {
+            let mut around: Vec<f64> = neighbors[rank * width..][..width].iter().map(|&j| spacing[j as usize]).collect();
+            spacing[rank] > ISOLATED * middle(&mut around)
+        })
+        .collect();
+    if lonely.is_empty() {
+        return Ok(());
+    }
+    let (names, many) = (cloud.names(lonely.iter().copied()), lonely.len() > 1);
+    Err(Error::input(format!(
+        "point{} {} {} isolated: the 6th neighbour is {:.3e} away, {} times as far as is usual in this cloud; remove {}",
+        if many { "s" } else { "" },
+        name_some(&names),
+        if many { "are" } else { "is" },
+        spacing[cloud.rank[names[0] as usize] as usize] / cloud.scale,
+        (spacing[cloud.rank[names[0] as usize] as usize] / usual).round(),
+        if many { "them" } else { "it" },
+    )))
+}
+
+fn refuse_flat(cloud: &Cloud, states: &[State], dimension: usize) -> Result<()> {
+    let names = cloud.names((0..states.len()).filter(|&rank| states[rank] == State::Flat));
+    if names.is_empty() {
+        return Ok(());
+    }
+    let place = ["at one place", "on a line", "in a plane"].get(dimension - 1).copied().unwrap_or("in a subspace of less dimension");
+    Err(Error::input(format!(
+        "the neighbours of {} of {} points ({}) lie {place}, which gives no {dimension}-dimensional tangent space; remove these points, \
+         give a smaller dimension=, or reach farther with a larger neighbors=",
+        names.len(),
+        states.len(),
+        name_some(&names),
+    )))
+}
