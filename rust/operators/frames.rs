@@ -47,6 +47,8 @@ pub(crate) struct Frames {
     pub(crate) neighbors: Vec<u32>,
     /// `dimension` orthonormal vectors of R^D a point.
     pub(crate) axes: Vec<f64>,
+    /// The second-order part of the fit of the normal components: a vector of R^D for each t_a t_b, a <= b.
+    pub(crate) bends: Vec<f64>,
     /// Distance of the 6th neighbour, in scaled units.
     pub(crate) spacing: Vec<f64>,
     /// The dimension that the growth of the neighbours' distances suggests.
@@ -215,10 +217,10 @@ impl Work {
                 basis: vec![],
                 weights: vec![],
                 matrix: vec![0.0; terms * terms],
-                right: vec![0.0; terms * dimension],
+                right: vec![0.0; terms],
                 tangential: vec![],
                 normal: vec![],
-                slope: vec![0.0; dimension * ambient],
+                slope: vec![],
             },
         }
     }
@@ -313,7 +315,7 @@ impl Work {
 
     /// Tilts the frame by the linear term of a polynomial fit of the normal components; as it was if there are too few
     /// neighbours for a fit.
-    fn tilt(&mut self, ambient: usize, dimension: usize, axes: &mut [f64]) {
+    fn tilt(&mut self, ambient: usize, dimension: usize, axes: &mut [f64], bend: Option<&mut [f64]>) {
         let fit = &mut self.fit;
         let Some(&reach) = self.distances.last() else { return };
         fit.tangential.clear();
@@ -362,13 +364,14 @@ impl Work {
             if !cholesky(matrix, terms, 1e-10) {
                 continue;
             }
-            fit.slope.fill(0.0);
-            for a in 0..dimension {
+            let bends = bend.as_ref().map_or(0, |bend| bend.len() / ambient).min(terms - 1 - dimension);
+            fit.slope.clear();
+            fit.slope.resize((dimension + bends) * ambient, 0.0);
+            for (a, slope) in fit.slope.chunks_exact_mut(ambient).enumerate() {
                 let right = &mut fit.right[..terms];
                 right.fill(0.0);
                 right[1 + a] = 1.0;
                 cholesky_solve(matrix, terms, right);
-                let slope = &mut fit.slope[a * ambient..][..ambient];
                 for j in 0..count {
                     let basis = &fit.basis[j * terms..][..terms];
                     let c = fit.weights[j] * basis.iter().zip(right.iter()).map(|(x, y)| x * y).sum::<f64>();
@@ -377,12 +380,16 @@ impl Work {
                     }
                 }
             }
-            let steepness = fit.slope.iter().map(|x| x * x).sum::<f64>().sqrt() / reach;
+            let (slope, curve) = fit.slope.split_at(dimension * ambient);
+            let steepness = slope.iter().map(|x| x * x).sum::<f64>().sqrt() / reach;
             if steepness < 1.0 {
-                for (axis, slope) in axes.iter_mut().zip(&fit.slope) {
+                for (axis, slope) in axes.iter_mut().zip(slope) {
                     *axis += slope / reach;
                 }
                 orthonormalize(axes, ambient);
+                if let Some(bend) = bend {
+                    bend.iter_mut().zip(curve).for_each(|(bend, curve)| *bend = curve / reach / reach);
+                }
                 return;
             }
         }
@@ -423,21 +430,24 @@ impl Frames {
         let near = (SPACING_RANK - 1).min(width - 1);
         let mut neighbors = vec![0u32; count * width];
         let mut axes = vec![0.0; count * dimension * ambient];
+        let curves = dimension * (dimension + 1) / 2;
+        let mut bends = vec![0.0; count * curves * ambient];
         let mut spacing = vec![0.0; count];
         let mut growth = vec![0.0; count];
         let mut states = vec![State::Sound; count];
         let progress = Progress::new(count, from, to, control);
         (neighbors.par_chunks_mut(TASK * width))
             .zip(axes.par_chunks_mut(TASK * dimension * ambient))
+            .zip(bends.par_chunks_mut(TASK * curves * ambient))
             .zip(spacing.par_chunks_mut(TASK))
             .zip(growth.par_chunks_mut(TASK))
             .zip(states.par_chunks_mut(TASK))
             .enumerate()
             .try_for_each_init(
                 || Work::new(ambient, dimension, width),
-                |work, (task, ((((neighbors, axes), spacing), growth), states))| -> Result<()> {
+                |work, (task, (((((neighbors, axes), bends), spacing), growth), states))| -> Result<()> {
                     let tasks = neighbors.chunks_exact_mut(width).zip(axes.chunks_exact_mut(dimension * ambient));
-                    for (at, (neighbors, axes)) in tasks.enumerate() {
+                    for (at, ((neighbors, axes), bends)) in tasks.zip(bends.chunks_exact_mut(curves * ambient)).enumerate() {
                         let rank = task * TASK + at;
                         let mut found = std::mem::take(&mut work.found);
                         cloud.neighbors_into(rank, width, &mut work.near, &mut found)?;
@@ -468,8 +478,8 @@ impl Frames {
                             axes.fill(0.0);
                             axes.iter_mut().step_by(ambient + 1).for_each(|x| *x = 1.0);
                         } else {
-                            work.tilt(ambient, dimension, axes);
-                            work.tilt(ambient, dimension, axes);
+                            work.tilt(ambient, dimension, axes, None);
+                            work.tilt(ambient, dimension, axes, Some(bends));
                         }
                     }
                     progress.step(states.len())
@@ -481,11 +491,16 @@ impl Frames {
         let harmonic: f64 = (near + 1..some).map(|l| 1.0 / l as f64).sum();
         let mean = growth.iter().sum::<f64>() / count as f64;
         let estimate = if mean > 0.0 && some > near + 1 { harmonic / mean } else { dimension as f64 };
-        Ok(Frames { dimension, width, neighbors, axes, spacing, estimate })
+        Ok(Frames { dimension, width, neighbors, axes, bends, spacing, estimate })
     }
 
     pub(crate) fn neighbors(&self, rank: usize) -> &[u32] {
         &self.neighbors[rank * self.width..][..self.width]
+    }
+
+    pub(crate) fn bends(&self, rank: usize, ambient: usize) -> &[f64] {
+        let size = self.dimension * (self.dimension + 1) / 2 * ambient;
+        &self.bends[rank * size..][..size]
     }
 
     pub(crate) fn axes(&self, rank: usize, ambient: usize) -> &[f64] {

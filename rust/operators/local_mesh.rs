@@ -336,6 +336,8 @@ impl StarWork {
     fn coordinates(&mut self, cloud: &Cloud, frames: &Frames, heights: &[f64], rank: usize) -> f64 {
         let (ambient, dimension) = (cloud.ambient, frames.dimension);
         let (here, axes) = (cloud.point(rank), frames.axes(rank, ambient));
+        let bends = frames.bends(rank, ambient);
+        let mut height = vec![0.0; ambient];
         let mut reach = 0.0;
         self.kept.clear();
         self.flat.clear();
@@ -357,10 +359,21 @@ impl StarWork {
                 if tangential < (1.0 - STEEP * STEEP) * square || !agree(axes, frames.axes(neighbor as usize, ambient), ambient, dimension) {
                     continue;
                 }
-                let stretch = (square / tangential).sqrt();
+                // lengths along the fitted surface: those of the chords themselves would hold each point's noise
+                height.fill(0.0);
+                let mut next = 0;
+                for a in 0..dimension {
+                    for b in a..dimension {
+                        let product = t[a] * t[b];
+                        height.iter_mut().zip(&bends[next * ambient..][..ambient]).for_each(|(height, bend)| *height += product * bend);
+                        next += 1;
+                    }
+                }
+                let rise: f64 = height.iter().map(|x| x * x).sum();
+                let stretch = (1.0 + (rise / tangential).min(1.0)).sqrt();
                 t.iter_mut().for_each(|t| *t *= stretch);
             }
-            let power = square + heights[neighbor as usize] - heights[rank];
+            let power = t.iter().map(|t| t * t).sum::<f64>() + heights[neighbor as usize] - heights[rank];
             self.kept.push(neighbor);
             self.flat.push(t);
             self.inverted.push(t.map(|t| t / power));
