@@ -83,7 +83,12 @@ impl Cloud {
             return Err(Error::input(format!("{count} points; a cloud can have up to 2^31 - 1")));
         }
         if let Some(at) = points.iter().position(|number| !number.is_finite()) {
-            return Err(Error::input(format!("coordinate {} of point {} is {}; remove that point", at % ambient, at / ambient, points[at])));
+            return Err(Error::input(format!(
+                "coordinate {} of point {} is {}; remove that point",
+                at % ambient,
+                at / ambient,
+                points[at]
+            )));
         }
         let (mut low, mut high) = (vec![f64::INFINITY; ambient], vec![f64::NEG_INFINITY; ambient]);
         for point in points.chunks_exact(ambient) {

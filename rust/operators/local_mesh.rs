@@ -94,13 +94,7 @@ struct StarWork {
 /// # Errors
 /// [`Error::Input`] naming the points if there are too few, coordinates that are not finite, copies, isolated points, or
 /// neighbourhoods of less than `dimension` dimensions; [`Error::Cancelled`].
-pub fn local_mesh(
-    points: &[f64],
-    ambient: usize,
-    dimension: usize,
-    options: &LocalMeshOptions,
-    control: &Control,
-) -> Result<LocalMesh> {
+pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &LocalMeshOptions, control: &Control) -> Result<LocalMesh> {
     if !(1..=3).contains(&dimension) {
         return Err(Error::input(format!(
             "local meshes are made for clouds of dimension 1, 2 and 3, not {dimension}; moving least squares (laplacian=\"mls\") takes any"
@@ -356,7 +350,8 @@ impl StarWork {
             reach = square;
             let tangential: f64 = t.iter().map(|t| t * t).sum();
             if ambient > dimension {
-                if tangential < (1.0 - STEEP * STEEP) * square || !agree(axes, frames.axes(neighbor as usize, ambient), ambient, dimension) {
+                if tangential < (1.0 - STEEP * STEEP) * square || !agree(axes, frames.axes(neighbor as usize, ambient), ambient, dimension)
+                {
                     continue;
                 }
                 // lengths along the fitted surface: those of the chords themselves would hold each point's noise
@@ -395,7 +390,7 @@ impl StarWork {
 }
 
 /// Whether two tangent spaces are near each other.
-fn agree(x: &[f64], y: &[f64], ambient: usize, dimension: usize) -> bool {
+pub(super) fn agree(x: &[f64], y: &[f64], ambient: usize, dimension: usize) -> bool {
     let mut m = [[0.0; 3]; 3];
     for a in 0..dimension {
         for b in 0..dimension {
@@ -716,15 +711,15 @@ impl<'a> VotedSimplices<'a> {
             )));
         }
         if corners.len() != votes.len() * (dimension + 1) {
-            return Err(Error::input(format!("{} corners and {} votes do not make simplices of dimension {dimension}", corners.len(), votes.len())));
+            return Err(Error::input(format!(
+                "{} corners and {} votes do not make simplices of dimension {dimension}",
+                corners.len(),
+                votes.len()
+            )));
         }
         let count = points.len() / ambient;
         if let Some(at) = corners.par_iter().with_min_len(CHUNK).position_first(|&corner| corner as usize >= count) {
-            return Err(Error::input(format!(
-                "simplex {} has corner {}, the cloud has {count} points",
-                at / (dimension + 1),
-                corners[at]
-            )));
+            return Err(Error::input(format!("simplex {} has corner {}, the cloud has {count} points", at / (dimension + 1), corners[at])));
         }
         Ok(VotedSimplices { points, ambient, dimension, corners, votes })
     }
@@ -785,7 +780,8 @@ impl<'a> VotedSimplices<'a> {
                 mass[corner as usize] += part;
             }
         }
-        let bad: Vec<u32> = (0..mass.len() as u32).filter(|&point| !(mass[point as usize] > 0.0 && mass[point as usize].is_finite())).collect();
+        let bad: Vec<u32> =
+            (0..mass.len() as u32).filter(|&point| !(mass[point as usize] > 0.0 && mass[point as usize].is_finite())).collect();
         match bad.first() {
             None => Ok(mass),
             Some(&first) if mass[first as usize] == 0.0 && self.corners.contains(&first) => Err(Error::numerical(format!(
@@ -1006,7 +1002,8 @@ impl<'a> VotedSimplices<'a> {
                 for a in 0..size {
                     square += products[a] * ((heat[corners[a] as usize] - least) / (most - least));
                 }
-                let factor = self.share(simplex) * element.volume * element.unit.powi(self.dimension as i32 - 1) / square.max(1e-300).sqrt();
+                let factor =
+                    self.share(simplex) * element.volume * element.unit.powi(self.dimension as i32 - 1) / square.max(1e-300).sqrt();
                 for a in 0..size {
                     parts[a] = -products[a] * factor;
                 }

@@ -10,5 +10,7 @@ pub use cotangent::{MeshOperators, cotangent_operators, divergence, galerkin_mas
 pub(crate) mod dense;
 pub(crate) mod frames;
 pub mod local_mesh;
+pub mod mls;
 
 pub use local_mesh::{LocalMesh, LocalMeshOptions, VotedSimplices, local_mesh};
+pub use mls::{MlsOperators, MlsOptions, MlsWeight, moving_least_squares};

@@ -6,6 +6,7 @@ mod error;
 mod intrinsic;
 mod io;
 mod local_mesh;
+mod mls;
 mod near;
 mod operators;
 mod run;
@@ -26,6 +27,7 @@ mod _core {
     };
     #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
+    use super::mls::moving_least_squares;
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
     #[pymodule_export]
