@@ -31,6 +31,29 @@ def triangulate(vertices: Floats, sizes: npt.NDArray[np.int64], corners: Ints) -
 def weld(
     vertices: Floats, faces: Ints, data: list[tuple[str, npt.NDArray[Any]]]
 ) -> tuple[Floats, Ints, list[tuple[str, npt.NDArray[Any]]]]: ...
+SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
+
+# local_mesh
+def local_mesh(
+    points: Floats, dimension: int, neighbors: int | None = None, progress: Callable[[float], object] | None = None
+) -> tuple[Ints, npt.NDArray[np.uint8], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Floats, Floats, float]: ...
+def local_stiffness(mesh: SimplexArrays, potential: Floats | None = None) -> CsrParts: ...
+def local_mass(mesh: SimplexArrays) -> Floats: ...
+def local_edge_length(mesh: SimplexArrays) -> float: ...
+def local_volumes(mesh: SimplexArrays) -> Floats: ...
+def local_gradients(mesh: SimplexArrays, values: Floats) -> Floats: ...
+def local_unit_gradient_divergence(mesh: SimplexArrays, heat: Floats) -> Floats: ...
+
+# mls
+def moving_least_squares(
+    points: Floats,
+    dimension: int,
+    degree: int,
+    neighbors: int | None = None,
+    weight: str = "special",
+    constrained: bool = True,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[CsrParts, CsrParts, npt.NDArray[np.uint32], float]: ...
 
 # intrinsic
 TriangulationArrays = tuple[int, Ints, Ints, Floats, bool]

@@ -129,11 +129,14 @@ def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: 
         Operators come back as they are.
     laplacian : {"auto", "cotangent", "intrinsic_delaunay", "tufted", "local_mesh", "mls"}
         ``"cotangent"``: linear finite elements on the mesh's own triangles. ``"auto"`` takes it wherever the triangles allow it,
-        and says in ``notes`` where it took another.
+        and says in ``notes`` where it took another. For clouds: ``"local_mesh"`` (``"auto"``), linear elements on the Delaunay
+        stars of the points, and ``"mls"``, moving least squares.
     mass : {"lumped", "voronoi"}
         A third of the adjacent areas at each vertex, or mixed Voronoi areas (Meyer et al. 2003). Both sum to the area.
     **options
-        Further options of the point-cloud Laplacians.
+        For clouds. ``neighbors=`` (int): how many each point starts from. ``progress=``. And of ``"mls"``: ``degree=`` (2) of the
+        polynomials, ``weight=`` ("special", "gaussian", "wendland" or "uniform"), ``constrained=`` (True): rows free of negative
+        off-diagonal entries wherever that is possible.
 
     Returns
     -------
@@ -142,11 +145,14 @@ def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: 
     Raises
     ------
     InputError
-        The shape has no triangles, a triangle is degenerate (the message names it), or its size is out of range.
+        The shape has no triangles, a triangle is degenerate (the message names it), or its size is out of range. Points of a cloud
+        are too few, coincide, are isolated or in a row (the message names them).
 
     References
     ----------
     Pinkall and Polthier, Computing discrete minimal surfaces and their conjugates, 1993.
+    Lai, Liang and Zhao, A local mesh method for solving PDEs on point clouds, 2013.
+    Liang and Zhao, Solving partial differential equations on point clouds, 2013.
 
     Examples
     --------
@@ -159,7 +165,9 @@ def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: 
         return shape
     if not isinstance(shape, TriangleMesh | PointCloud):
         raise InputError(f"shape is a {type(shape).__name__}; a TriangleMesh, a PointCloud or Operators is needed (bt.load makes them)")
-    family = _MESH if isinstance(shape, TriangleMesh) else _CLOUD
+    from .clouds import BUILDERS
+
+    family = _MESH if isinstance(shape, TriangleMesh) else BUILDERS
     if mass not in ("lumped", "voronoi"):
         raise InputError(f"mass is {mass!r}; choose 'lumped' or 'voronoi'")
     build = family.get(laplacian) if isinstance(laplacian, str) else None
@@ -208,4 +216,3 @@ _MESH: dict[str, _Builder] = {
     "intrinsic_delaunay": _intrinsic("intrinsic_delaunay"),
     "tufted": _intrinsic("tufted"),
 }
-_CLOUD: dict[str, _Builder] = {}

@@ -1,0 +1,281 @@
+"""Operators of point clouds: local meshes and moving least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sparse
+
+from . import _core, arrays
+from .arrays import Floats, Ints
+from .errors import InputError
+from .operators import Operators
+from .progress import Progress, reporter
+from .shapes import PointCloud
+
+Weight = Literal["special", "gaussian", "wendland", "uniform"]
+SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
+
+
+class _LocalMesh(NamedTuple):
+    simplices: Ints
+    votes: npt.NDArray[np.uint8]
+    certified: npt.NDArray[np.bool_]
+    boundary: npt.NDArray[np.bool_]
+    spacing: Floats
+    frames: Floats
+    estimated_dimension: float
+
+
+class CloudOperators(Operators):
+    """Operators of a point cloud, made by ``bt.operators(cloud)``.
+
+    The elements are the simplices (triangles for d = 2, tetrahedra for d = 3) that the Delaunay stars of the points vote for. A
+    simplex with v of its d + 1 corners' stars behind it counts v / (d + 1) times in every sum.
+
+    Attributes
+    ----------
+    simplices : ndarray (m, d + 1) of int32
+        Point numbers, ascending.
+    votes : ndarray (m,) of uint8
+        From 1 to d + 1.
+    certified : float
+        Share of the points whose star provably is their Delaunay star: no point that could change it was left out.
+    certified_points : ndarray (n,) of bool
+        Which those are.
+    boundary : ndarray (n,) of bool
+        Where the star is open: the cloud ends there.
+    point_spacing : ndarray (n,)
+        Distance to the 6th neighbour, in units of length.
+    frames : ndarray (n, d, D)
+        Orthonormal tangent vectors of each point.
+    estimated_dimension : float
+        The dimension that the growth of the neighbours' distances suggests.
+    """
+
+    shape: PointCloud
+
+    def __init__(self, shape: PointCloud, kind: str, *, neighbors: int | None, progress: Progress) -> None:
+        set_ = object.__setattr__
+        set_(self, "shape", shape)
+        set_(self, "kind", kind)
+        set_(self, "_neighbors", neighbors)
+        set_(self, "_reporter", reporter(progress, "operators"))
+        set_(self, "notes", ())
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_reporter": None}
+
+    @cached_property
+    def _found(self) -> _LocalMesh:
+        cloud, d = self.shape, self.shape.dimension
+        found = _LocalMesh(*_core.local_mesh(cloud.points, d, vars(self)["_neighbors"], vars(self)["_reporter"]))
+        notes = _dimension_note(found.estimated_dimension, d) if self.kind == "local_mesh" else ()
+        if not found.certified.all():
+            wrong = np.flatnonzero(~found.certified)
+            notes += (f"the stars of {len(wrong)} of {len(found.certified)} points are not certified, the first is {wrong[0]}",)
+        object.__setattr__(self, "notes", self.notes + notes)
+        return found
+
+    @property
+    def simplices(self) -> Ints:
+        """Point numbers, ascending, (m, d + 1)."""
+        return self._found.simplices
+
+    @property
+    def votes(self) -> npt.NDArray[np.uint8]:
+        """Corners whose star holds the simplex, (m,)."""
+        return self._found.votes
+
+    @property
+    def certified_points(self) -> npt.NDArray[np.bool_]:
+        """Which points' stars are certified, (n,)."""
+        return self._found.certified
+
+    @property
+    def boundary(self) -> npt.NDArray[np.bool_]:
+        """Which points' stars are open, (n,)."""
+        return self._found.boundary
+
+    @property
+    def point_spacing(self) -> Floats:
+        """Distance of each point to its 6th neighbour, (n,)."""
+        return self._found.spacing
+
+    @property
+    def frames(self) -> Floats:
+        """Orthonormal tangent vectors of each point, (n, d, D)."""
+        return self._found.frames.reshape(len(self._found.frames), self.shape.dimension, -1)
+
+    @property
+    def estimated_dimension(self) -> float:
+        """The dimension that the growth of the neighbours' distances suggests."""
+        return self._found.estimated_dimension
+
+    @property
+    def local_mesh(self) -> SimplexArrays:
+        """Points, simplices and votes, as the core's kernels take them."""
+        return self.shape.points, self.simplices, self.votes
+
+    @property
+    def certified(self) -> float:
+        """Share of the points whose star is certified."""
+        return float(self.certified_points.mean())
+
+    @cached_property
+    def stiffness(self) -> sparse.csr_array:
+        """L, (n, n): positive semidefinite, symmetric to the last bit; rows sum to zero."""
+        n = len(self.shape.points)
+        return arrays.csr_out(_core.local_stiffness(self.local_mesh), (n, n))
+
+    @cached_property
+    def mass(self) -> Floats:
+        """Lumped masses, (n,), in units of length^d."""
+        return _core.local_mass(self.local_mesh)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Mean length of the edges of the local mesh."""
+        return _core.local_edge_length(self.local_mesh)
+
+    def weighted_stiffness(self, potential: npt.ArrayLike) -> sparse.csr_array:
+        """Stiffness of ``∫ exp(-potential) |grad u|²``, the weight averaged on each edge by the harmonic mean.
+
+        Parameters
+        ----------
+        potential : array_like (n,)
+            Taken relative to its least value, so that the greatest weight is 1.
+
+        Returns
+        -------
+        scipy.sparse.csr_array (n, n)
+
+        References
+        ----------
+        Scharfetter and Gummel, Large-signal analysis of a silicon Read diode oscillator, 1969.
+        """
+        n = len(self.shape.points)
+        values = arrays.floats(potential, "potential", (n,))
+        return arrays.csr_out(_core.local_stiffness(self.local_mesh, values), (n, n))
+
+    @cached_property
+    def element_volumes(self) -> Floats:
+        """(m,): area (volume) of each simplex, times votes / (d + 1): they add up to the mass."""
+        volumes: Floats = _core.local_volumes(self.local_mesh) * self.votes / (self.shape.dimension + 1)
+        return volumes
+
+    def element_gradients(self, values: npt.ArrayLike) -> Floats:
+        """Gradient of a function on each simplex, (m, D).
+
+        Parameters
+        ----------
+        values : array_like (n,)
+        """
+        return _core.local_gradients(self.local_mesh, arrays.floats(values, "values", (len(self.shape.points),)))
+
+    @cached_property
+    def _least_squares(self) -> tuple[sparse.csr_array, sparse.csr_array]:
+        cloud = self.shape
+        n, space = cloud.points.shape
+        gradient, laplacian, _, _ = _core.moving_least_squares(cloud.points, cloud.dimension, 2)
+        return arrays.csr_out(gradient, (n * space, n)), arrays.csr_out(laplacian, (n, n))
+
+    @cached_property
+    def gradient(self) -> sparse.csr_array:
+        """G, (n D, n): ``(G @ f).reshape(n, D)`` has the tangent vector of ``f`` at each point, by moving least squares."""
+        return self._least_squares[0]
+
+    @cached_property
+    def divergence(self) -> sparse.csr_array:
+        """(n, n D): the exact negative adjoint of the gradient in the mass inner product."""
+        adjoint = sparse.csr_array(self.gradient.T)
+        columns = np.repeat(self.mass, self.shape.points.shape[1])[adjoint.indices]
+        rows = np.repeat(-1.0 / self.mass, np.diff(adjoint.indptr))
+        return arrays.csr_out((adjoint.data * columns * rows, adjoint.indices, adjoint.indptr), adjoint.shape)
+
+    @cached_property
+    def element_areas(self) -> Floats:
+        """(n,): the masses; the gradient of a cloud lives at its points."""
+        return self.mass
+
+
+class LeastSquaresOperators(CloudOperators):
+    """Operators of a point cloud by moving least squares, made by ``bt.operators(cloud, laplacian="mls")``.
+
+    ``gradient`` and ``laplacian`` are exact on polynomials of the degree where the cloud is flat. ``laplacian`` is not symmetric:
+    eigenproblems and Poisson equations take ``stiffness`` and ``mass``, which are those of the local mesh.
+
+    Attributes
+    ----------
+    signed_points : ndarray of int
+        Points whose row of the Laplacian has a negative off-diagonal entry. Where there is none, every eigenvalue of
+        ``-laplacian`` has a real part >= 0.
+    """
+
+    signed_points: npt.NDArray[np.uint32]
+
+    def __init__(
+        self, shape: PointCloud, *, degree: int, neighbors: int | None, weight: str, constrained: bool, progress: Progress
+    ) -> None:
+        super().__init__(shape, "mls", neighbors=None, progress=None)
+        n, space = shape.points.shape
+        gradient, laplacian, signed, estimate = _core.moving_least_squares(
+            shape.points, shape.dimension, degree, neighbors, weight, constrained, reporter(progress, "moving least squares")
+        )
+        vars(self).update(
+            gradient=arrays.csr_out(gradient, (n * space, n)),
+            laplacian=arrays.csr_out(laplacian, (n, n)),
+            signed_points=signed,
+            notes=_dimension_note(estimate, shape.dimension),
+        )
+
+    def __repr__(self) -> str:
+        return f"Operators(mls, n = {len(self.shape.points)}, {self.laplacian.nnz} entries)"
+
+
+def _dimension_note(estimate: float, dimension: int) -> tuple[str, ...]:
+    if round(estimate) == dimension:
+        return ()
+    return (f"the points look {estimate:.1f}-dimensional, dimension={dimension} was given",)
+
+
+def _local_mesh(cloud: PointCloud, mass: str, options: dict[str, Any]) -> Operators:
+    neighbors, progress = options.pop("neighbors", None), options.pop("progress", None)
+    _no_more(options, mass, "local_mesh", "neighbors, progress")
+    if neighbors is not None:
+        neighbors = arrays.whole(neighbors, "neighbors", cloud.dimension + 1)
+    ops = CloudOperators(cloud, "local_mesh", neighbors=neighbors, progress=progress)
+    _ = ops.stiffness, ops.mass, ops.spacing  # what is wrong with the cloud is said now
+    return ops
+
+
+def _moving_least_squares(cloud: PointCloud, mass: str, options: dict[str, Any]) -> Operators:
+    degree = arrays.whole(options.pop("degree", 2), "degree", 1, 6)
+    neighbors, progress = options.pop("neighbors", None), options.pop("progress", None)
+    weight, constrained = options.pop("weight", "special"), options.pop("constrained", True)
+    _no_more(options, mass, "mls", "degree, neighbors, weight, constrained, progress")
+    if neighbors is not None:
+        neighbors = arrays.whole(neighbors, "neighbors", cloud.dimension + 1)
+    if weight not in get_args(Weight):
+        raise InputError(f"weight is {weight!r}; choose one of {', '.join(map(repr, get_args(Weight)))}")
+    return LeastSquaresOperators(
+        cloud, degree=degree, neighbors=neighbors, weight=weight, constrained=bool(constrained), progress=progress
+    )
+
+
+def _no_more(options: dict[str, Any], mass: str, kind: str, known: str) -> None:
+    if options:
+        raise InputError(f"{', '.join(options)}: no option of laplacian={kind!r}; its options are {known}")
+    if mass != "lumped":
+        raise InputError(f"mass is {mass!r}; point clouds have lumped masses")
+
+
+BUILDERS: dict[str, Callable[[Any, str, dict[str, Any]], Operators]] = {
+    "auto": _local_mesh,
+    "local_mesh": _local_mesh,
+    "mls": _moving_least_squares,
+}
