@@ -23,13 +23,12 @@ mod _core {
     use super::cholesky::Cholesky;
     #[pymodule_export]
     use super::intrinsic::{intrinsic_divergence, intrinsic_gradient, intrinsic_operators, thinnest_face};
+    #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
     #[pymodule_export]
     use super::local_mesh::{
         local_edge_length, local_gradients, local_mass, local_mesh, local_stiffness, local_unit_gradient_divergence, local_volumes,
     };
-    #[pymodule_export]
-    use super::io::{load_bytes, load_file, save_file, triangulate, weld};
     #[pymodule_export]
     use super::mls::moving_least_squares;
     #[pymodule_export]
