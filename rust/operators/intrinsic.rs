@@ -217,7 +217,7 @@ impl IntrinsicTriangulation {
         }
         let corners = Corners::new(self);
         Ok(rows(self.vertex_count(), 2 * faces.len(), |vertex, entries| {
-            if !(mass[vertex] > 0.0) {
+            if mass[vertex] <= 0.0 || mass[vertex].is_nan() {
                 return;
             }
             for &corner in corners.of(vertex) {

@@ -225,9 +225,9 @@ fn surface_net(
                 for (a, b) in (0..8usize).flat_map(|a| [1, 2, 4].map(|bit| (a, a | bit))).filter(|(a, b)| a != b) {
                     if (values[a] < 0.0) != (values[b] < 0.0) {
                         let share = values[a] / (values[a] - values[b]);
-                        for axis in 0..3 {
+                        for (axis, sum) in sum.iter_mut().enumerate() {
                             let (from, to) = ((a >> axis & 1) as f64, (b >> axis & 1) as f64);
-                            sum[axis] += from + share * (to - from);
+                            *sum += from + share * (to - from);
                         }
                         crossings += 1.0;
                     }

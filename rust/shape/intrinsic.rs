@@ -308,7 +308,7 @@ fn mollify(topology: &Topology<'_>, lengths: &mut [f64], control: &Control) -> R
             break;
         }
         allowed -= 1;
-        if allowed % 4096 == 0 {
+        if allowed.is_multiple_of(4096) {
             control.check()?;
         }
         for edge in others {
@@ -480,7 +480,7 @@ impl IntrinsicTriangulation {
         while let Some(half_edge) = queue.pop_front() {
             waiting[half_edge as usize] = false;
             tried += 1;
-            if tried % 16384 == 0 {
+            if tried.is_multiple_of(16384) {
                 control.report(0.4 + 0.6 * (tried as f64 / seen as f64).min(1.0))?;
             }
             if !self.is_bad(half_edge) {

@@ -46,7 +46,7 @@ pub(crate) fn repeats_a_corner(face: &[u32; 3]) -> bool {
 }
 
 /// Cuts `slice` at `ends` (ascending, the last one its length).
-pub(crate) fn cut<'s, T>(mut slice: &'s mut [T], ends: impl Iterator<Item = usize>) -> Vec<&'s mut [T]> {
+pub(crate) fn cut<T>(mut slice: &mut [T], ends: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
     let mut parts = Vec::new();
     let mut start = 0;
     for end in ends {
@@ -410,7 +410,7 @@ impl<'a> Topology<'a> {
         // at a vertex that the same fan of triangles joins.
         let vertex_of = |end: usize| {
             let half_edge = self.half_edges[self.starts[boundary[end / 2] as usize] as usize];
-            if end % 2 == 0 { self.tail(half_edge) } else { self.tip(half_edge) }
+            if end.is_multiple_of(2) { self.tail(half_edge) } else { self.tip(half_edge) }
         };
         let mut partners: Vec<u32> = (0..2 * boundary.len())
             .into_par_iter()
