@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from . import shapes
+from . import examples, shapes
 from ._core import num_threads, set_num_threads
 from .errors import (
     Cancelled,
@@ -46,6 +46,7 @@ __all__ = [
     "TopologyError",
     "TriangleMesh",
     "__version__",
+    "examples",
     "load",
     "nearest_neighbors",
     "neighbors_within",

@@ -5,11 +5,12 @@ A shape is frozen: its arrays are read-only copies of what was handed in, so tha
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,9 @@ from . import _core, arrays
 from .arrays import Floats, Ints
 from .errors import InputError, NumericalError, TopologyError
 from .progress import Progress, reporter
+
+if TYPE_CHECKING:
+    from .view import Page, Picture
 
 Data = Mapping[str, npt.NDArray[Any]]
 
@@ -109,6 +113,12 @@ class TriangleMesh:
         from .files import to_pyvista
 
         return to_pyvista(self)
+
+    def plot(self, values: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints the mesh to a ``.png`` or an interactive ``.html``; the options are those of :func:`beltrami.plot`."""
+        from .view import plot
+
+        return plot(self, values, path=path, **options)
 
     def __repr__(self) -> str:
         return f"TriangleMesh({len(self.vertices)} vertices in R^{self.dimension}, {len(self.faces)} faces)"
@@ -476,6 +486,12 @@ class PointCloud:
         from .files import to_pyvista
 
         return to_pyvista(self)
+
+    def plot(self, values: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints the cloud to a ``.png`` or an interactive ``.html``; the options are those of :func:`beltrami.plot`."""
+        from .view import plot
+
+        return plot(self, values, path=path, **options)
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self.points)} points of a {self.dimension}-dimensional surface in R^{self.points.shape[1]})"

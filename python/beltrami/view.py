@@ -315,6 +315,8 @@ class _Geometry:
 def _geometry(shape: Any) -> _Geometry:
     normals = None
     faces: Any = np.zeros((0, 3), np.int32)
+    if hasattr(shape, "stiffness") and hasattr(shape, "shape"):  # operators know their shape
+        shape = shape.shape
     if hasattr(shape, "vertices") and hasattr(shape, "faces"):
         vertices, faces = shape.vertices, shape.faces
     elif hasattr(shape, "points"):
@@ -674,7 +676,7 @@ def plot(
     canvas.pixels[:] = np.round(255 * np.array(behind)).astype(np.uint8)
 
     # Room for words: the unit is the size of ordinary text.
-    size_ = max(9.0, 0.0185 * math.sqrt(width * height))
+    size_ = max(9.0, 0.0205 * math.sqrt(width * height))
     pad = 0.9 * size_
     top, bottom, left, right = pad, pad, pad, pad
     if title:
@@ -694,7 +696,7 @@ def plot(
     bar_room = 0.0
     if color_bar and alone and first.bar and first.kind == "scalars":
         wide = max((lettering.width(text, 0.85 * size_) for text in _tick_texts(_ticks(*first.span))), default=0.0)
-        bar_room = 1.1 * size_ + wide + 1.6 * size_
+        bar_room = max(1.1 * size_ + wide + 1.6 * size_, lettering.width(_fit(first.name, 0.9 * size_, 0.25 * width), 0.9 * size_) + size_)
     elif color_bar and alone and first.bar:  # numbers on faces: the same bar
         bar_room = 5.5 * size_
     elif color_bar and alone and first.legend:
@@ -713,19 +715,30 @@ def plot(
         if math.isfinite(distance):
             q = q / (1 - q[:, 2:] / distance)
         boxes.append((q[:, :2].min(axis=0) - ball, q[:, :2].max(axis=0) + ball))
+    sizes = [np.maximum(high - low, 1e-3 * extent) for low, high in boxes] * len(fields)
+    gap = (1.2 * size_, 0.8 * size_)
     best: tuple[float, int] = (0.0, 1)
     for columns in range(1, len(panels) + 1):
-        room = inside[0] / columns - 1.2 * size_, inside[1] / math.ceil(len(panels) / columns) - under - 0.8 * size_
-        scale = min(min(room[axis] / max(float(high[axis] - low[axis]), 1e-3 * extent) for axis in (0, 1)) for low, high in boxes)
-        if scale > best[0] * 1.0001:
-            best = scale, columns
+        room = inside[0] / columns - gap[0], inside[1] / math.ceil(len(panels) / columns) - under - gap[1]
+        fit = min(min(room[0] / float(box[0]), room[1] / float(box[1])) for box in sizes)
+        if fit > best[0] * 1.0001:
+            best = fit, columns
     scale, columns = best
+    shares = np.full(len(panels), 1 / columns)
+    # In a single row narrow views leave their room to wide ones.
+    widths = np.array([float(box[0]) for box in sizes])
+    in_a_row = min((inside[0] - len(panels) * gap[0]) / widths.sum(), (inside[1] - under - gap[1]) / max(float(box[1]) for box in sizes))
+    if in_a_row > scale:
+        scale, columns = in_a_row, len(panels)
+        shares = (widths * scale + gap[0]) / (widths * scale + gap[0]).sum()
     if scale <= 0 or not math.isfinite(scale):
         raise InputError(f"size {width} x {height} leaves no room for {len(panels)} panels; make it larger")
     rows = math.ceil(len(panels) / columns)
+    lowest = 0.5 * scale * max(float(box[1]) for box in sizes)
     for at, (shown, axes, view_name) in enumerate(panels):
-        row, column = divmod(at, columns)
-        x0, x1 = (round(left + inside[0] * c / columns) for c in (column, column + 1))
+        row = at // columns
+        before = float(shares[row * columns : at].sum())
+        x0, x1 = (round(left + inside[0] * share) for share in (before, before + float(shares[at])))
         y0, y1 = (round(top + inside[1] * r / rows) for r in (row, row + 1))
         y1 -= round(under)
         low, high = boxes[at % len(cameras)]
@@ -771,14 +784,15 @@ def plot(
         ropes = None
         if polylines:
             starts = np.concatenate([[0], np.cumsum([len(line) for line in polylines])]).tolist()
-            widths = [arrays.number(line_width, "line_width", above=0)] * len(polylines)
-            ropes = (np.ascontiguousarray(np.concatenate(polylines)), starts, widths, [(*c, 1.0) for c in line_colours])
+            thick = [arrays.number(line_width, "line_width", above=0)] * len(polylines)
+            ropes = (np.ascontiguousarray(np.concatenate(polylines)), starts, thick, [(*c, 1.0) for c in line_colours])
         painted = _core.paint(frame, camera, surface, balls, ropes, part(report, at / len(panels), (at + 1) / len(panels)))
         canvas.pixels[y0:y1, x0:x1] = painted[: y1 - y0, : x1 - x0]
         if several:
             names = [shown.name if len(fields) > 1 else "", view_name if len(cameras) > 1 else ""]
             words = _fit(" · ".join(n for n in names if n), 0.9 * size_, x1 - x0 - size_)
-            canvas.text(words, 0.5 * (x0 + x1), y1 + 1.1 * size_, 0.9 * size_, align="middle", strength=0.85)
+            foot = min(float(y1), 0.5 * (y0 + y1) + lowest + 0.5 * size_)
+            canvas.text(words, 0.5 * (x0 + x1), foot + 1.1 * size_, 0.9 * size_, align="middle", strength=0.85)
         if own_bar and shown.bar:
             long = min(0.6 * (x1 - x0), 14 * size_)
             _bar(canvas, shown, 0.5 * (x0 + x1 - long), y1 + 1.75 * size_, long, 0.45 * size_, 0.72 * size_, False)
@@ -790,7 +804,7 @@ def plot(
             y = top + 0.5 * (inside[1] - tall)
             _bar(canvas, table, x, y, 0.8 * size_, tall, 0.85 * size_, True)
             if first.name and len(fields) == 1:
-                canvas.text(_fit(first.name, 0.9 * size_, 0.5 * width), width - right, y - 1.1 * size_, 0.9 * size_, align="right")
+                canvas.text(_fit(first.name, 0.9 * size_, 0.25 * width), width - right, y - 1.1 * size_, 0.9 * size_, align="right")
         else:
             step = min(1.5 * size_, inside[1] / (len(first.legend) + 1))
             shown_names = [*first.legend[:24]] + ([f"and {len(first.legend) - 24} more"] if len(first.legend) > 24 else [])

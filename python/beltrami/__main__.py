@@ -1,0 +1,400 @@
+"""The command line: ``beltrami COMMAND FILE... [options] -o OUT``.
+
+Each command prints a short table of what it found and certified, shows a bar while it works, and writes what ``-o`` names: arrays to
+``.npz`` or ``.csv``, shapes with their values to ``.ply``, pictures to ``.png``, interactive pages to ``.html``. Exit codes: 0 done,
+1 not converged (the answer is still written, and it is said), 2 bad input (one line: what, where, remedy)."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import beltrami as bt
+
+from . import arrays
+from .errors import ConvergenceError, Error, FileError, InputError
+from .progress import Bar
+
+Options = argparse.Namespace
+DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: what it does with its options, how it names them, and its line in the help."""
+
+    run: Callable[[Options], int]
+    declare: Callable[[argparse.ArgumentParser], None]
+    summary: str
+
+
+COMMANDS: dict[str, Command] = {}
+
+
+def command(
+    name: str, summary: str, declare: Callable[[argparse.ArgumentParser], None]
+) -> Callable[[Callable[[Options], int]], Callable[[Options], int]]:
+    """Registers a command; ``declare`` adds its options to a parser."""
+
+    def register(run: Callable[[Options], int]) -> Callable[[Options], int]:
+        COMMANDS[name] = Command(run, declare, summary)
+        return run
+
+    return register
+
+
+# --- what commands share -----------------------------------------------------------------------------------------------------------
+
+
+def table(rows: Sequence[Sequence[object]], header: Sequence[str] = ()) -> None:
+    """Prints rows in columns: numbers to the right, words to the left."""
+    texts = [[_text(cell) for cell in row] for row in [*([header] if header else []), *rows]]
+    if not texts:
+        return
+    widths = [max(len(row[at]) for row in texts) for at in range(len(texts[0]))]
+    numeric = [bool(rows) and all(isinstance(row[at], int | float | np.number) for row in rows) for at in range(len(widths))]
+    for row in texts:
+        cells = (cell.rjust(width) if right else cell.ljust(width) for cell, width, right in zip(row, widths, numeric, strict=True))
+        print("  ".join(cells).rstrip())
+
+
+def _text(cell: object) -> str:
+    if isinstance(cell, bool | np.bool_):
+        return "yes" if cell else "no"
+    if isinstance(cell, float | np.floating):
+        return f"{cell:.6g}"
+    return str(cell)
+
+
+def shape_of(options: Options, file: str | None = None) -> Any:
+    """The shape in the file that was named; ``example:spot`` is one of :mod:`beltrami.examples`."""
+    name = file or options.file
+    if name.startswith("example:"):
+        known = {"spot": bt.examples.spot, "bob": bt.examples.bob, "cortex": bt.examples.cortex}
+        if name[8:] not in known:
+            raise InputError(f"{name}: the examples are {', '.join(known)}")
+        return known[name[8:]]()
+    return bt.load(name, progress=Bar("loading"))
+
+
+def positions(shape: Any) -> npt.NDArray[np.float64]:
+    """(n, D)."""
+    points: npt.NDArray[np.float64] = shape.points if isinstance(shape, bt.PointCloud) else shape.vertices
+    return points
+
+
+def write(options: Options, shape: Any, values: Mapping[str, npt.NDArray[Any]], shown: Mapping[str, npt.NDArray[Any]], **look: Any) -> None:
+    """Writes an answer to each file of ``-o``: all ``values`` to .npz; those of the vertices to .csv and .ply; ``shown`` to pictures."""
+    count = len(positions(shape))
+    for name in options.out or []:
+        path = Path(name)
+        suffix = path.suffix.lower()
+        if suffix == ".npz":
+            _to_file(path, lambda stream: np.savez_compressed(stream, **values))  # type: ignore[arg-type]
+        elif suffix == ".csv":
+            _to_file(path, lambda stream: stream.write(_csv(values, count).encode()))
+        elif suffix == ".ply":
+            flat = dict(_columns(values, count))
+            data = {**dict(shape.data), **flat}
+            if isinstance(shape, bt.PointCloud):
+                bt.save(bt.PointCloud(shape.points, dimension=shape.dimension, normals=shape.normals, data=data), path)
+            else:
+                bt.save(bt.TriangleMesh(shape.vertices, shape.faces, data=data), path)
+        elif suffix in (".png", ".html"):
+            bt.plot(shape, dict(shown) if len(shown) != 1 else next(iter(shown.values())), label=next(iter(shown), None), path=path, **look)
+        else:
+            raise InputError(f"{path}: the answer can be written to .npz, .csv, .ply, .png or .html")
+        print(f"wrote {path}")
+
+
+def check_outputs(options: Options) -> None:
+    """Refuses an unknown kind of file before the work, not after it."""
+    for name in options.out or []:
+        if Path(name).suffix.lower() not in (".npz", ".csv", ".ply", ".png", ".html"):
+            raise InputError(f"{name}: the answer can be written to .npz, .csv, .ply, .png or .html")
+
+
+def _to_file(path: Path, fill: Callable[[Any], object]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as stream:
+            fill(stream)
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def _columns(values: Mapping[str, npt.NDArray[Any]], count: int) -> list[tuple[str, npt.NDArray[Any]]]:
+    """One column each, of the arrays that have a row a vertex."""
+    columns: list[tuple[str, npt.NDArray[Any]]] = []
+    for name, array in values.items():
+        if array.shape[:1] == (count,) and array.ndim == 1:
+            columns.append((name, array))
+        elif array.shape[:1] == (count,) and array.ndim == 2:
+            columns += [(f"{name}_{at}", np.ascontiguousarray(array[:, at])) for at in range(array.shape[1])]
+    return columns
+
+
+def _csv(values: Mapping[str, npt.NDArray[Any]], count: int) -> str:
+    columns = _columns(values, count)
+    lines = [",".join(name for name, _ in columns)]
+    lines += [",".join(repr(cell.item()) for cell in row) for row in zip(*(array for _, array in columns), strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _input(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", help="a surface or a cloud (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex")
+
+
+def _output(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--out", action="append", metavar="OUT", help=".npz, .csv, .ply, .png or .html; may be given several times")
+
+
+def _look(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--view", action="append", help="front, back, left, right, top, bottom, three-quarter ...; several side by side")
+    parser.add_argument("--up", choices="xyz", default="y", help="the axis that points upwards (y)")
+    parser.add_argument("--title")
+    parser.add_argument("--size", default="1600x1000", help="of the picture in pixels (1600x1000)")
+
+
+def _looks(options: Options) -> dict[str, Any]:
+    try:
+        width, height = (int(side) for side in options.size.lower().split("x"))
+    except ValueError:
+        raise InputError(f"--size {options.size}: write it like 1600x1000") from None
+    return {"views": options.view, "up": options.up, "title": options.title, "size": (width, height)}
+
+
+# --- the commands ------------------------------------------------------------------------------------------------------------------
+
+
+def _info_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("files", nargs="+", metavar="FILE")
+
+
+@command("info", "what a shape is: counts, topology, size, data", _info_options)
+def info(options: Options) -> int:
+    for at, file in enumerate(options.files):
+        shape = shape_of(options, file)
+        if at:
+            print()
+        print(file)
+        if isinstance(shape, bt.TriangleMesh):
+            print(shape.report())
+        else:
+            points = shape.points
+            rows = [
+                ("points", f"{len(points)} in R^{points.shape[1]}"),
+                ("dimension", shape.dimension),
+                ("normals", shape.normals is not None),
+            ]
+            if len(points):
+                rows.append(
+                    (
+                        "bounds",
+                        "  ".join(f"[{low:.4g}, {high:.4g}]" for low, high in zip(points.min(axis=0), points.max(axis=0), strict=True)),
+                    )
+                )
+            table([*rows, ("data", ", ".join(shape.data) or "none")])
+    return DONE
+
+
+def _convert_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    parser.add_argument("out", help="PLY, OBJ, OFF, STL, XYZ")
+    parser.add_argument("--weld", action="store_true", help="vertices at equal positions become one")
+    parser.add_argument("--ascii", action="store_true", help="a text file where the format has both")
+
+
+@command("convert", "a shape into another format", _convert_options)
+def convert(options: Options) -> int:
+    shape = shape_of(options)
+    if options.weld:
+        shape = bt.load(shape, weld=True)
+    bt.save(shape, options.out, ascii=options.ascii, progress=Bar("writing"))
+    print(f"{shape}\nwrote {options.out}")
+    return DONE
+
+
+def _plot_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    _look(parser)
+    parser.add_argument("-o", "--out", action="append", metavar="OUT", required=True, help=".png or .html; may be given several times")
+    parser.add_argument("--values", help="a field of the file, or a file of numbers (.npy, .npz, .csv, .txt), one a vertex or a face")
+    parser.add_argument("--colormap")
+    parser.add_argument("--contours", type=int, help="how many contour lines")
+    parser.add_argument("--limits", type=float, nargs=2, metavar=("LOW", "HIGH"))
+    parser.add_argument("--transparency", type=float, default=0.0)
+    parser.add_argument("--edges", action="store_true", help="draw the mesh's edges")
+
+
+@command("plot", "a picture (.png) or an interactive page (.html)", _plot_options)
+def plot(options: Options) -> int:
+    shape = shape_of(options)
+    values, label = _values(options.values, shape)
+    look = {
+        "colormap": options.colormap,
+        "contours": options.contours,
+        "limits": options.limits,
+        "transparency": options.transparency,
+        "edges": options.edges,
+    }
+    for out in options.out:
+        print(f"wrote {bt.plot(shape, values, label=label, path=out, progress=Bar('painting'), **look, **_looks(options)).path}")
+    return DONE
+
+
+def _values(name: str | None, shape: Any) -> tuple[Any, str | None]:
+    if name is None:
+        return (shape.data["colors"], None) if "colors" in shape.data else (None, None)
+    if name in shape.data:
+        return shape.data[name], name
+    path = Path(name)
+    if not path.exists():
+        raise InputError(f"--values {name}: no such file, and the shape has no such field (it has {', '.join(shape.data) or 'none'})")
+    try:
+        if path.suffix.lower() == ".npy":
+            return np.load(path, allow_pickle=False), path.stem
+        if path.suffix.lower() == ".npz":
+            with np.load(path, allow_pickle=False) as archive:
+                count = len(positions(shape))
+                fields = {key: archive[key] for key in archive.files if archive[key].shape == (count,)}
+            if not fields:
+                raise InputError(f"--values {name}: none of its arrays has one number a vertex")
+            return (fields, None) if len(fields) > 1 else next((array, key) for key, array in fields.items())
+        separator = "," if path.suffix.lower() == ".csv" else None
+        with path.open(encoding="utf-8-sig") as stream:
+            first = stream.readline()
+        try:
+            [float(word) for word in first.split(separator)]
+            skip = 0
+        except ValueError:
+            skip = 1
+        return np.loadtxt(path, delimiter=separator, skiprows=skip), path.stem
+    except (OSError, ValueError) as error:
+        if isinstance(error, Error):
+            raise
+        raise FileError(f"{name} cannot be read as numbers: {error}") from None
+
+
+def _gallery_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--out", default="gallery", help="folder (gallery)")
+    parser.add_argument("--only", action="append", metavar="WORD", help="sections whose title has this word")
+    parser.add_argument("--list", action="store_true", help="the titles")
+
+
+@command("gallery", "the main results on real shapes, as one page that opens from disk", _gallery_options)
+def gallery(options: Options) -> int:
+    from .gallery import run, titles
+
+    if options.list:
+        print("\n".join(titles()))
+        return DONE
+    outcomes = run(options.out, only=options.only, progress=lambda text: print(text, file=sys.stderr, flush=True))
+    table([(outcome.title, round(outcome.seconds, 2), outcome.error or "done") for outcome in outcomes], ("section", "seconds", ""))
+    print(f"wrote {Path(options.out) / 'index.html'}")
+    return DONE if all(outcome.error is None for outcome in outcomes) else NOT_CONVERGED
+
+
+@command("doctor", "versions, threads, extras, and a self-test", lambda parser: None)
+def doctor(options: Options) -> int:
+    import importlib.metadata
+    import platform
+
+    rows: list[tuple[str, object]] = [
+        ("beltrami", bt.__version__),
+        ("Python", f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
+        ("threads", bt.num_threads()),
+    ]
+    for package, purpose in (
+        ("numpy", ""), ("scipy", ""), ("trimesh", ""), ("matplotlib", "further colour maps"), ("nibabel", "GIFTI and FreeSurfer files"),
+        ("nilearn", "the example cortex"), ("pyvista", "to_pyvista"), ("meshio", "its objects"), ("networkx", "to_networkx"),
+    ):  # fmt: skip
+        found = next(iter(importlib.metadata.distributions(name=package)), None)
+        absent = f"absent (optional: {purpose})" if purpose else "MISSING: pip install beltrami again"
+        rows.append((package, absent if found is None else found.version))
+    table(rows)
+    good = _self_test()
+    print("all is well" if good else "something is wrong: please report the lines above")
+    return DONE if good else NOT_CONVERGED
+
+
+def _self_test() -> bool:
+    """A solve, two areas and a picture, each held against what is known."""
+    sphere = bt.shapes.sphere(4)
+    operators = bt.operators(sphere)
+    matrix = operators.stiffness + _diagonal(operators.mass)
+    right = sphere.vertices[:, 2] * operators.mass
+    solution = bt.Cholesky(matrix, sphere.vertices).solve(right)
+    residual = float(np.linalg.norm(matrix @ solution - right) / np.linalg.norm(right))
+    # (L + M) u = M z has the solution z / 3 on the round sphere.
+    error = float(np.abs(3 * solution - sphere.vertices[:, 2]).max())
+    area = abs(float(operators.mass.sum()) / (4 * np.pi) - 1)
+    flat = bt.TriangleMesh(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    pixels = bt.plot(flat, color="#204080", size=(64, 64), color_bar=False).pixels  # type: ignore[union-attr]
+    checks = [
+        ("residual of a sparse solve", residual, 1e-12),
+        ("error of a solution known in closed form", error, 1e-2),
+        ("relative error of the sphere's area", area, 1e-2),
+        ("colour of a painted square", float(np.abs(pixels[32, 32].astype(float) - [32, 64, 128]).max()), 0.5),
+    ]
+    table([(name, value, "ok" if value <= bound else f"ABOVE {bound:g}") for name, value, bound in checks])
+    return all(value <= bound for _, value, bound in checks)
+
+
+def _diagonal(values: npt.NDArray[np.float64]) -> Any:
+    from scipy.sparse import dia_array
+
+    return dia_array((values[None], [0]), shape=(len(values), len(values)))
+
+
+# --- the door ----------------------------------------------------------------------------------------------------------------------
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser with all commands."""
+    top = argparse.ArgumentParser(
+        prog="beltrami", description="Intrinsic computing on triangle meshes and point clouds.",
+        epilog="Exit codes: 0 done, 1 not converged (the answer is still written), 2 bad input.",
+    )  # fmt: skip
+    top.add_argument("--version", action="version", version=f"beltrami {bt.__version__}")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, entry in COMMANDS.items():
+        one = commands.add_parser(name, help=entry.summary, description=entry.summary[:1].upper() + entry.summary[1:] + ".")
+        one.add_argument("--threads", type=int, help="how many threads to use")
+        entry.declare(one)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command; the exit code."""
+    try:
+        options = parser().parse_args(arguments)
+    except SystemExit as leaving:  # argparse has said why
+        return int(leaving.code or 0)
+    try:
+        if options.threads is not None:
+            bt.set_num_threads(arrays.whole(options.threads, "--threads", 1, 4096))
+        return COMMANDS[options.command].run(options)
+    except ConvergenceError as error:
+        print(f"beltrami {options.command}: not converged: {error}", file=sys.stderr)
+        return NOT_CONVERGED
+    except Error as error:
+        print(f"beltrami {options.command}: {' '.join(str(error).split())}", file=sys.stderr)
+        return BAD_INPUT
+    except BrokenPipeError:  # whoever read the table has seen enough
+        sys.stderr.close()
+        return DONE
+    except KeyboardInterrupt:
+        print(f"beltrami {options.command}: stopped", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

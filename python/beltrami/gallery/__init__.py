@@ -1,0 +1,209 @@
+"""The gallery: the main results on real shapes, as one page that opens from disk without a network.
+
+A section is a function that fills a :class:`Sheet`; :func:`section` registers it. To add one for a new method, write a module in this
+folder with a function and name the module in ``_MODULES``. A section that fails is shown with its error, and the others still run."""
+
+from __future__ import annotations
+
+import html
+import importlib
+import os
+import re
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .. import __version__, _core, view
+from ..errors import FileError, InputError
+
+__all__ = ["Outcome", "Sheet", "run", "section", "titles"]
+
+_MODULES = ("foundation",)
+
+SECTIONS: dict[str, Callable[[Sheet], None]] = {}
+
+
+def section(title: str) -> Callable[[Callable[[Sheet], None]], Callable[[Sheet], None]]:
+    """Registers a section under a title; sections appear in the order in which they are registered."""
+
+    def register(fill: Callable[[Sheet], None]) -> Callable[[Sheet], None]:
+        SECTIONS[title] = fill
+        return fill
+
+    return register
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a section went: its title, its seconds, what went wrong (one line) or None, and the files it wrote."""
+
+    title: str
+    seconds: float
+    error: str | None
+    files: tuple[Path, ...]
+
+
+class Sheet:
+    """What a section writes on: paragraphs, figures, tables, code, pictures and interactive pages, in order."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder = folder
+        self._name = name
+        self._parts: list[str] = []
+        self.files: list[Path] = []
+
+    def text(self, text: str) -> None:
+        """A paragraph; `words` in backticks are code."""
+        self._parts.append(f"<p>{_inline(text)}</p>")
+
+    def figures(self, figures: Mapping[str, object]) -> None:
+        """Certified numbers, large, with what they are."""
+        items = "".join(f"<div><dt>{_inline(name)}</dt><dd>{_inline(_figure(value))}</dd></div>" for name, value in figures.items())
+        self._parts.append(f'<dl class="figures">{items}</dl>')
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], caption: str = "") -> None:
+        """A table; numbers stand to the right."""
+
+        def cell(value: object) -> str:
+            numeric = isinstance(value, int | float) and not isinstance(value, bool)
+            return f'<td class="number">{_figure(value)}</td>' if numeric else f"<td>{_inline(_figure(value))}</td>"
+
+        numeric = [
+            bool(rows) and all(isinstance(row[at], int | float) and not isinstance(row[at], bool) for row in rows)
+            for at in range(len(header))
+        ]
+        classes = [' class="number"' if right else "" for right in numeric]
+        head = "".join(f'<th scope="col"{kind}>{_inline(name)}</th>' for name, kind in zip(header, classes, strict=True))
+        body = "".join("<tr>" + "".join(cell(value) for value in row) + "</tr>" for row in rows)
+        title = f"<caption>{_inline(caption)}</caption>" if caption else ""
+        self._parts.append(f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>')
+
+    def code(self, code: str) -> None:
+        """The lines that do it."""
+        self._parts.append(f"<pre><code>{html.escape(code.strip())}</code></pre>")
+
+    def picture(self, shape: Any, values: Any = None, *, caption: str = "", interactive: bool = False, **options: Any) -> None:
+        """A picture made by :func:`beltrami.plot`, and with ``interactive`` a page of the same beside it."""
+        stem = f"{self._name}-{len(self.files) + 1}"
+        painted = view.plot(shape, values, path=self._folder / f"{stem}.png", **options)
+        assert isinstance(painted, view.Picture)
+        self.files.append(self._folder / f"{stem}.png")
+        height, width = painted.pixels.shape[:2]
+        image = (
+            f'<a href="{stem}.png"><img src="{stem}.png" alt="{html.escape(painted.description)}" width="{width}" height="{height}" '
+            'loading="lazy"></a>'
+        )
+        link = ""
+        if interactive:
+            view.plot(shape, values, path=self._folder / f"{stem}.html", **options)
+            self.files.append(self._folder / f"{stem}.html")
+            link = f' <a class="open" href="{stem}.html">Turn it yourself</a>'
+        self._parts.append(f"<figure>{image}<figcaption>{_inline(caption)}{link}</figcaption></figure>")
+
+    def html(self) -> str:
+        """What was written so far."""
+        return "\n".join(self._parts)
+
+
+def _inline(text: str) -> str:
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text))
+
+
+def _figure(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}".replace("-", "−")
+    if isinstance(value, float):
+        text = f"{value:.4g}"
+        if "e" in text:
+            mantissa, exponent = text.split("e")
+            text = f"{mantissa}·10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        return text.replace("-", "−")
+    return str(value)
+
+
+def _load() -> None:
+    for module in _MODULES:
+        importlib.import_module(f"{__name__}.{module}")
+
+
+def titles() -> list[str]:
+    """Titles of all sections."""
+    _load()
+    return list(SECTIONS)
+
+
+def _slug(title: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def run(
+    folder: str | os.PathLike[str], *, only: Sequence[str] | None = None, progress: Callable[[str], object] | None = None
+) -> list[Outcome]:
+    """Writes the gallery: ``index.html``, a PNG for each picture, an HTML file for each interactive page.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it is missing. Files of the same names are replaced, others left alone.
+    only : list of str, optional
+        Only the sections with one of these words in their title.
+    progress : callable, optional
+        Called with a line of text before and after each section.
+
+    Returns
+    -------
+    list of Outcome
+        One a section; those with an ``error`` failed, and the page shows it.
+
+    Raises
+    ------
+    InputError
+        No title has the words.
+    FileError
+        The folder cannot be written.
+    """
+    folder = Path(folder)
+    chosen = [title for title in titles() if not only or any(word.lower() in title.lower() for word in only)]
+    if not chosen:
+        raise InputError(f"no section has {' or '.join(only or [])} in its title; there are: {'; '.join(SECTIONS)}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{folder} cannot be made: {error.strerror}") from None
+    outcomes, bodies = [], []
+    for title in chosen:
+        if progress:
+            progress(f"{title} ...")
+        sheet, start, failure = Sheet(folder, _slug(title)), time.perf_counter(), None
+        try:
+            SECTIONS[title](sheet)
+        except Exception as error:  # one section must not stop the others
+            failure = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            trace = html.escape("".join(traceback.format_exception(error, limit=-4)))
+            body = f'{sheet.html()}<div class="error" role="alert"><strong>{html.escape(failure)}</strong><pre>{trace}</pre></div>'
+        else:
+            body = sheet.html()
+        seconds = time.perf_counter() - start
+        if progress:
+            progress(f"{title}: {failure or 'done'} ({seconds:.1f} s)")
+        outcomes.append(Outcome(title, seconds, failure, tuple(sheet.files)))
+        bodies.append(
+            f'<section id="{_slug(title)}"><h2>{html.escape(title)}</h2>{body}<p class="time">{seconds:.2f} s with {_core.num_threads()} '
+            "threads, pictures included</p></section>"
+        )
+    template = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+    contents = "".join(f'<li><a href="#{_slug(o.title)}">{html.escape(o.title)}</a></li>' for o in outcomes)
+    failed = sum(outcome.error is not None for outcome in outcomes)
+    summary = f"{len(outcomes)} sections in {sum(o.seconds for o in outcomes):.1f} s" + (f", {failed} failed" if failed else "")
+    for mark, text in (("__CONTENTS__", contents), ("__SUMMARY__", summary), ("__VERSION__", __version__), ("__BODY__", "\n".join(bodies))):
+        template = template.replace(mark, text)
+    try:
+        (folder / "index.html").write_text(template, encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{folder / 'index.html'} cannot be written: {error.strerror}") from None
+    return outcomes
