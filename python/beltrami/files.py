@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import io
 import os
 import warnings
 from collections.abc import Callable, Mapping
@@ -86,7 +85,7 @@ def load(
         return _shape(*_core.weld(vertices, faces, _storable(fields)[0]), dimension)
     if isinstance(source, str | os.PathLike):
         loaded = _from_path(os.fspath(source), format, weld, reporter(progress, "load"))
-    elif isinstance(source, io.IOBase) or (hasattr(source, "read") and not isinstance(source, type)):
+    elif _known_package(source) is None and callable(getattr(source, "read", None)):
         loaded = _from_stream(source, format, weld, reporter(progress, "load"))
     else:
         loaded = _from_object(source)
@@ -305,11 +304,17 @@ def _cut(points: Any, sizes: npt.NDArray[Any], corners: npt.NDArray[Any], data: 
     return vertices, faces, fields
 
 
-def _from_object(source: Any) -> tuple[Floats, Ints, Fields]:
+def _known_package(source: Any) -> str | None:
+    """The package that a class comes from, which is thereby not imported."""
     packages = {kind.__module__.split(".")[0] for kind in type(source).__mro__}
-    for package, take in (("trimesh", _from_trimesh), ("pyvista", _from_pyvista), ("open3d", _from_open3d), ("meshio", _from_meshio)):
-        if package in packages:
-            return take(source)
+    return next((package for package in ("trimesh", "pyvista", "open3d", "meshio") if package in packages), None)
+
+
+def _from_object(source: Any) -> tuple[Floats, Ints, Fields]:
+    takers = {"trimesh": _from_trimesh, "pyvista": _from_pyvista, "open3d": _from_open3d, "meshio": _from_meshio}
+    package = _known_package(source)
+    if package is not None:
+        return takers[package](source)
     if isinstance(source, tuple | list) and len(source) == 2 and np.ndim(source[0]) == 2:
         return _checked(source[0], source[1], {})
     if isinstance(source, np.ndarray):
@@ -344,11 +349,11 @@ def _from_trimesh(source: Any) -> tuple[Floats, Ints, Fields]:
 def _from_pyvista(source: Any) -> tuple[Floats, Ints, Fields]:
     names = {"Normals": "normals", "RGB": "colors", "RGBA": "colors"}
     data = {names.get(name, name): np.asarray(source.point_data[name]) for name in source.point_data}
-    if hasattr(source, "regular_faces"):  # PolyData
+    if hasattr(type(source), "n_strips"):  # PolyData
         if source.n_strips:
             source = source.triangulate()
         sizes, corners = _unpadded(np.asarray(source.faces))
-    elif hasattr(source, "celltypes"):  # UnstructuredGrid
+    elif hasattr(type(source), "celltypes"):  # UnstructuredGrid
         polygons = {3: 0, 4: 0, 5: 3, 7: -1, 9: 4, 1: 0, 2: 0}  # vertices and lines are passed over
         others = set(np.unique(source.celltypes).tolist()) - set(polygons)
         if others:

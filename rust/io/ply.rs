@@ -649,8 +649,8 @@ fn grouped(columns: Vec<Field>, hints: &[Hint]) -> Vec<Field> {
         let Some(members) = names.iter().map(position).collect::<Option<Vec<usize>>>().filter(|members| !members.is_empty()) else {
             continue;
         };
-        let taken = columns.iter().flatten().map(|field| &field.name).filter(|name| !names.contains(name));
-        if taken.chain(made.iter().map(|(_, field)| &field.name)).any(|other| other == name) {
+        let others = columns.iter().flatten().map(|field| &field.name).filter(|name| !names.contains(name));
+        if hint.is_none() && others.chain(made.iter().map(|(_, field)| &field.name)).any(|other| other == name) {
             continue;
         }
         let parts: Vec<&Values> = members.iter().filter_map(|&member| columns[member].as_ref()).map(|field| &field.values).collect();

@@ -146,7 +146,7 @@ fn plan<'a>(shape: &'a Geometry<'_>, format: Format, writing: Writing) -> Parsed
         Format::Xyz => usual("normals", &[3]).into_iter().map(plain).collect(),
         Format::Pts => usual("colors", &[3]).filter(|field| matches!(field.values, Values::U8(_))).into_iter().map(plain).collect(),
         Format::Ply | Format::Csv => {
-            let mut taken: Vec<String> = axis_names(shape.dimension);
+            let mut taken = axis_names(shape.dimension.max(2) + 1); // a column called like the next axis would be read as that
             let mut columns = Vec::new();
             for field in shape.data.iter().filter(|field| field.columns > 0) {
                 columns.push(column(field, &mut taken, format, writing)?);
