@@ -88,6 +88,8 @@ class Cholesky:
         """
         table, vector = self._table(b, "b")
         if out is None:
+            if table.size == 0:
+                return np.zeros(self._n if vector else table.shape)
             x = self._core.solve(table)
             return x[:, 0] if vector else x
         shape = (self._n,) if vector else table.shape

@@ -47,6 +47,13 @@ pub struct Scratch {
     pool: sweep::Pool,
 }
 
+impl Scratch {
+    /// Memory for solves that look at their residuals and refine.
+    pub fn refining() -> Self {
+        Scratch { refine: true, ..Scratch::default() }
+    }
+}
+
 impl Cholesky {
     /// Orders, analyses and factors a symmetric positive definite matrix, both of whose triangles are stored.
     ///
@@ -201,7 +208,7 @@ impl Cholesky {
     /// As [`Cholesky::solve`].
     pub fn solve_block(&self, b: &[f64], width: usize) -> Result<Vec<f64>> {
         let mut out = vec![0.0; b.len()];
-        self.solve_block_into(b, width, &mut out, &mut Scratch { refine: true, ..Scratch::default() })?;
+        self.solve_block_into(b, width, &mut out, &mut Scratch::refining())?;
         Ok(out)
     }
 

@@ -2,9 +2,11 @@
 
 mod cholesky;
 mod dense;
+mod laplacian;
 mod ordering;
 mod sweep;
 mod symbolic;
 
 pub use cholesky::{Cholesky, Scratch};
+pub use laplacian::LaplacianSolver;
 pub use symbolic::Symbolic;
