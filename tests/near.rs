@@ -1,7 +1,7 @@
 //! Neighbours, closest points and rays against brute force.
 
-use beltrami::near::{KdTree, Scratch};
-use beltrami::{Control, Error};
+use beltrami::near::{Bvh, KdTree, Scratch};
+use beltrami::{Control, Error, TriangleMesh};
 use proptest::prelude::*;
 
 fn squared(a: &[f64], b: &[f64]) -> f64 {
@@ -66,4 +66,61 @@ fn wrong_input_is_an_error() {
     assert!(matches!(empty.nearest(&[0.0; 3], 1, &control), Err(Error::Input(_))));
     assert_eq!(empty.within(&[0.0; 3], 1.0, &control).unwrap().starts, [0, 0]);
     assert!(matches!(empty.within(&[0.0; 3], f64::NAN, &control), Err(Error::Input(_))));
+}
+
+/// Distance to a triangle by minimizing over barycentric coordinates: a grid, then ever finer ones around the best (the problem
+/// is convex).
+fn refined(query: &[f64], corners: [&[f64]; 3]) -> f64 {
+    let at = |u: f64, v: f64| {
+        let w = 1.0 - u - v;
+        (0..query.len()).map(|k| (query[k] - u * corners[0][k] - v * corners[1][k] - w * corners[2][k]).powi(2)).sum::<f64>().sqrt()
+    };
+    let (mut best, mut step) = ((1.0 / 3.0, 1.0 / 3.0, at(1.0 / 3.0, 1.0 / 3.0)), 0.25);
+    for _ in 0..60 {
+        let (x, y, _) = best;
+        for i in -8..=8 {
+            for j in -8..=8 {
+                let u = (x + step * f64::from(i) / 4.0).clamp(0.0, 1.0);
+                let v = (y + step * f64::from(j) / 4.0).clamp(0.0, 1.0 - u);
+                let distance = at(u, v);
+                if distance < best.2 {
+                    best = (u, v, distance);
+                }
+            }
+        }
+        step *= 0.7;
+    }
+    best.2
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+    #[test]
+    fn closest_points_are_those_of_brute_force(numbers in prop::collection::vec(-3.0..3.0f64, 9 * 12), queries in prop::collection::vec(-6.0..6.0f64, 12)) {
+        let faces: Vec<[u32; 3]> = (0..12).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect();
+        let mesh = TriangleMesh::new(3, &numbers[..], &faces[..]).unwrap();
+        let bvh = Bvh::new(&mesh, &Control::default()).unwrap();
+        let found = bvh.closest(&queries, &Control::default()).unwrap();
+        for (index, query) in queries.chunks(3).enumerate() {
+            let corners = |face: u32| [3 * face, 3 * face + 1, 3 * face + 2].map(|corner| mesh.vertex(corner));
+            let best = (0..12).map(|face| refined(query, corners(face))).fold(f64::INFINITY, f64::min);
+            prop_assert!((found.distances[index] - best).abs() < 1e-5, "{} {best}", found.distances[index]);
+            prop_assert!(found.distances[index] <= best + 1e-12);
+        }
+    }
+}
+
+#[test]
+fn meshes_and_rays_that_cannot_be_used_are_errors() {
+    let control = Control::default();
+    let flat = TriangleMesh::new(2, vec![0.0, 0.0, 1.0, 0.0, 0.0, 1.0], vec![[0, 1, 2]]).unwrap();
+    let bvh = Bvh::new(&flat, &control).unwrap();
+    assert!(matches!(bvh.intersect(&[0.0; 2], &[1.0; 2], &control), Err(Error::Input(_))));
+    assert!(matches!(bvh.closest(&[f64::INFINITY; 2], &control), Err(Error::Input(_))));
+    assert_eq!(bvh.closest(&[], &control).unwrap().distances, []);
+    let none = TriangleMesh::new(2, vec![0.0, 0.0], vec![]).unwrap();
+    assert!(matches!(Bvh::new(&none, &control), Err(Error::Input(_))));
+    assert!(matches!(beltrami::near::normals(&[0.0; 30], 3, 4, &control), Err(Error::Input(_))));
+    control.stop();
+    assert_eq!(bvh.closest(&[0.0; 2], &control), Err(Error::Cancelled));
 }

@@ -19,7 +19,7 @@ from .errors import (
     TopologyError,
 )
 from .files import load, save
-from .near import nearest_neighbors, neighbors_within
+from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
@@ -31,6 +31,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Cancelled",
     "Cholesky",
+    "ClosestPointsResult",
     "ConvergenceError",
     "DependencyError",
     "Error",
@@ -42,14 +43,18 @@ __all__ = [
     "Page",
     "Picture",
     "PointCloud",
+    "RayHitsResult",
     "RotationInvariantSlicedWassersteinResult",
     "TopologyError",
     "TriangleMesh",
     "__version__",
     "examples",
+    "closest_points",
+    "intersect_rays",
     "load",
     "nearest_neighbors",
     "neighbors_within",
+    "normals",
     "num_threads",
     "operators",
     "plot",

@@ -78,7 +78,7 @@ struct Pending {
 }
 
 /// The dimension, known when compiling where it is small.
-trait Space: Copy + Send + Sync {
+pub(super) trait Space: Copy + Send + Sync {
     /// A point while the tree is built.
     type Record: Copy + Send;
     fn dimension(self) -> usize;
@@ -88,7 +88,7 @@ trait Space: Copy + Send + Sync {
 }
 
 #[derive(Clone, Copy)]
-struct Fixed<const D: usize>;
+pub(super) struct Fixed<const D: usize>;
 
 impl<const D: usize> Space for Fixed<D> {
     type Record = ([f64; D], u32);
@@ -117,7 +117,7 @@ impl<const D: usize> Space for Fixed<D> {
 }
 
 #[derive(Clone, Copy)]
-struct Any(usize);
+pub(super) struct Any(pub(super) usize);
 
 impl Space for Any {
     type Record = u32;
@@ -147,24 +147,26 @@ macro_rules! in_space {
     ($dimension:expr, $space:ident => $work:expr) => {
         match $dimension {
             1 => {
-                let $space = Fixed::<1>;
+                let $space = $crate::near::knn::Fixed::<1>;
                 $work
             }
             2 => {
-                let $space = Fixed::<2>;
+                let $space = $crate::near::knn::Fixed::<2>;
                 $work
             }
             3 => {
-                let $space = Fixed::<3>;
+                let $space = $crate::near::knn::Fixed::<3>;
                 $work
             }
             dimension => {
-                let $space = Any(dimension);
+                let $space = $crate::near::knn::Any(dimension);
                 $work
             }
         }
     };
 }
+
+pub(super) use in_space;
 
 /// What a search keeps.
 trait Found {
@@ -269,7 +271,7 @@ fn order(a: &(f64, u32), b: &(f64, u32)) -> std::cmp::Ordering {
 }
 
 /// Index of the first coordinate that is not finite.
-fn first_wrong(numbers: &[f64]) -> Option<usize> {
+pub(super) fn first_wrong(numbers: &[f64]) -> Option<usize> {
     numbers.par_iter().with_min_len(CHUNK).position_first(|number| !number.is_finite())
 }
 
@@ -674,7 +676,7 @@ fn check_radius(radius: f64) -> Result<()> {
 }
 
 /// 1, or a power of two that brings numbers as large as `most` near 1 where squares would overflow or vanish.
-fn tame(most: f64) -> f64 {
+pub(super) fn tame(most: f64) -> f64 {
     if most == 0.0 || (1e-100..=1e100).contains(&most) {
         return 1.0;
     }

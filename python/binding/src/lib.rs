@@ -33,6 +33,7 @@ mod _core {
     use super::mls::moving_least_squares;
     #[pymodule_export]
     use super::near::{nearest_neighbors, neighbors_within};
+    use super::near::{closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals};
     #[pymodule_export]
     use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient};
     #[pymodule_export]

@@ -1,9 +1,9 @@
 //! Neighbours, closest points and rays.
 
-use crate::convert::{table, table_out, vector_out};
+use crate::convert::{MeshArrays, table, table_out, vector_out};
 use crate::error;
 use crate::run;
-use beltrami::near::KdTree;
+use beltrami::near::{self, Bvh, KdTree};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 
@@ -49,4 +49,70 @@ pub fn neighbors_within<'py>(
     let found = run::watched(py, progress, |control| KdTree::new(points, dimension, control)?.within(queries, radius, control))?;
     let starts = found.starts.into_iter().map(|start| start as i64).collect();
     Ok((vector_out(py, starts), vector_out(py, bytemuck::cast_vec(found.indices)), vector_out(py, found.distances)))
+}
+
+/// Points, distances, faces and barycentric coordinates of the closest points of a mesh.
+#[pyfunction]
+#[pyo3(signature = (mesh, queries, progress=None))]
+#[allow(clippy::type_complexity)]
+pub fn closest_points<'py>(
+    py: Python<'py>,
+    mesh: MeshArrays<'py>,
+    queries: PyReadonlyArray2<'py, f64>,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i32>>, Bound<'py, PyArray2<f64>>)> {
+    let mesh = mesh.mesh()?;
+    let (queries, columns) = table(&queries)?;
+    if columns != mesh.dimension() {
+        return Err(error::input(py, format!("queries have {columns} coordinates, the mesh lies in R^{}", mesh.dimension())));
+    }
+    let found = run::watched(py, progress, |control| Bvh::new(&mesh, control)?.closest(queries, control))?;
+    Ok((
+        table_out(py, found.points, columns)?,
+        vector_out(py, found.distances),
+        vector_out(py, bytemuck::cast_vec(found.faces)),
+        table_out(py, bytemuck::cast_slice(&found.barycentric).to_vec(), 3)?,
+    ))
+}
+
+/// Faces (-1: missed), distances (inf: missed) and barycentric coordinates of first hits.
+#[pyfunction]
+#[pyo3(signature = (mesh, origins, directions, progress=None))]
+#[allow(clippy::type_complexity)]
+pub fn intersect_rays<'py>(
+    py: Python<'py>,
+    mesh: MeshArrays<'py>,
+    origins: PyReadonlyArray2<'py, f64>,
+    directions: PyReadonlyArray2<'py, f64>,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyArray1<i32>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>)> {
+    let mesh = mesh.mesh()?;
+    let ((origins, columns), (directions, others)) = (table(&origins)?, table(&directions)?);
+    if columns != 3 || others != 3 || mesh.dimension() != 3 {
+        return Err(error::input(
+            py,
+            format!("origins have {columns} coordinates, directions {others}, the mesh {}; rays live in R^3", mesh.dimension()),
+        ));
+    }
+    let found = run::watched(py, progress, |control| Bvh::new(&mesh, control)?.intersect(origins, directions, control))?;
+    // u32::MAX is -1 as int32
+    Ok((
+        vector_out(py, bytemuck::cast_vec(found.faces)),
+        vector_out(py, found.distances),
+        table_out(py, bytemuck::cast_slice(&found.barycentric).to_vec(), 3)?,
+    ))
+}
+
+/// Consistently oriented unit normals of points.
+#[pyfunction]
+#[pyo3(signature = (points, neighbors, progress=None))]
+pub fn normals<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    neighbors: usize,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let (points, dimension) = table(&points)?;
+    let found = run::watched(py, progress, |control| near::normals(points, dimension, neighbors, control))?;
+    table_out(py, found, dimension)
 }
