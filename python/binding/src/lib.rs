@@ -32,7 +32,6 @@ mod _core {
     #[pymodule_export]
     use super::mls::moving_least_squares;
     #[pymodule_export]
-    use super::near::{nearest_neighbors, neighbors_within};
     use super::near::{closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals};
     #[pymodule_export]
     use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient};
