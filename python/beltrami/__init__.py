@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from . import examples, shapes
 from ._core import num_threads, set_num_threads
+from .eigen import Eigenpairs, eigenpairs
 from .errors import (
     Cancelled,
     ConvergenceError,
@@ -19,11 +20,12 @@ from .errors import (
     TopologyError,
 )
 from .files import load, save
+from .geodesic import HeatMethod, geodesic_distance
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
 from .shapes import PointCloud, TriangleMesh
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
-from .solvers import Cholesky
+from .solvers import Cholesky, PoissonSolver, solve_poisson
 from .view import Page, Picture, plot
 
 __version__ = "0.1.0"
@@ -34,8 +36,10 @@ __all__ = [
     "ClosestPointsResult",
     "ConvergenceError",
     "DependencyError",
+    "Eigenpairs",
     "Error",
     "FileError",
+    "HeatMethod",
     "InputError",
     "InternalError",
     "NumericalError",
@@ -43,13 +47,16 @@ __all__ = [
     "Page",
     "Picture",
     "PointCloud",
+    "PoissonSolver",
     "RayHitsResult",
     "RotationInvariantSlicedWassersteinResult",
     "TopologyError",
     "TriangleMesh",
     "__version__",
     "closest_points",
+    "eigenpairs",
     "examples",
+    "geodesic_distance",
     "intersect_rays",
     "load",
     "nearest_neighbors",
@@ -63,4 +70,5 @@ __all__ = [
     "set_num_threads",
     "shapes",
     "sliced_wasserstein",
+    "solve_poisson",
 ]

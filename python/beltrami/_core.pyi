@@ -65,6 +65,18 @@ def intrinsic_gradient(triangulation: TriangulationArrays) -> CsrParts: ...
 def intrinsic_divergence(triangulation: TriangulationArrays, mass: Floats) -> CsrParts: ...
 def thinnest_face(mesh: tuple[Floats, Ints]) -> tuple[int, float] | None: ...
 
+# eigen
+def eigenpairs(
+    matrix: CsrArrays,
+    diagonal: Floats | None,
+    mass: CsrArrays | None,
+    k: int,
+    shift: float | None,
+    coordinates: Floats | None,
+    start: Floats | None,
+    progress: Callable[[float], object] | None,
+) -> tuple[Floats, Floats, Floats, int]: ...
+
 # near
 def closest_points(
     mesh: tuple[Floats, Ints], queries: Floats, progress: Callable[[float], object] | None = None

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +11,11 @@ import scipy.sparse as sparse
 from . import _core
 from .arrays import Floats, csr_in, csr_out, floats, points
 from .errors import InputError
+from .operators import Operators, operators
+from .progress import Progress, reporter
+from .shapes import Shape
 
-__all__ = ["Cholesky"]
-
-Progress = Callable[[float], object] | bool | None
+__all__ = ["Cholesky", "PoissonSolver", "plus_diagonal", "solve_poisson"]
 
 
 class Cholesky:
@@ -64,7 +64,7 @@ class Cholesky:
         places = None if coordinates is None else points(coordinates, "coordinates")
         if places is not None and len(places) != parts[0]:
             raise InputError(f"coordinates has {len(places)} rows, the matrix has {parts[0]}; give one point an unknown")
-        self._core = _core.Cholesky(parts, places, None, _caller(progress))
+        self._core = _core.Cholesky(parts, places, None, reporter(progress, "Cholesky"))
         self._n = parts[0]
 
     def solve(self, b: npt.ArrayLike, out: Floats | None = None) -> Floats:
@@ -120,7 +120,7 @@ class Cholesky:
         NumericalError
             If it is not positive definite; the factor then refuses to solve until another refactorization.
         """
-        self._core.refactor(csr_in(matrix, "the matrix"), _caller(progress))
+        self._core.refactor(csr_in(matrix, "the matrix"), reporter(progress, "Cholesky"))
         return self
 
     def residual(self, b: npt.ArrayLike, x: npt.ArrayLike) -> float | Floats:
@@ -169,5 +169,119 @@ class Cholesky:
         return floats(array, name, (self._n, None), finite=False), False
 
 
-def _caller(progress: Progress) -> Callable[[float], object] | None:
-    return cast("Callable[[float], object] | None", progress)
+def plus_diagonal(matrix: sparse.csr_array, diagonal: Floats) -> sparse.csr_array:
+    """``matrix + diag(diagonal)``."""
+    return sparse.csr_array(matrix + sparse.diags_array(diagonal))
+
+
+class PoissonSolver:
+    """Solves ``L u = b`` on one shape, whose stiffness L is singular: one constant a connected component.
+
+    One vertex of each component is held by a spring. As long as the right-hand side sums to zero on the component the spring
+    carries nothing, so the answer is exact.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+    progress : callable or True, optional
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> sphere = bt.shapes.sphere(4)
+    >>> solver = bt.PoissonSolver(sphere)
+    >>> u = solver.solve(sphere.vertices[:, 2])  # -Δu = z has u = z / 2
+    >>> bool(abs(u - sphere.vertices[:, 2] / 2).max() < 0.01)
+    True
+    """
+
+    def __init__(self, shape: Shape | Operators, *, progress: Progress = None) -> None:
+        ops = self.operators = operators(shape)
+        _, held = np.unique(ops.component_labels, return_index=True)
+        spring = np.zeros(len(ops.mass))
+        strength = ops.stiffness.diagonal()[held]
+        spring[held] = np.where(strength > 0, strength, 1.0)
+        self._factor = Cholesky(plus_diagonal(ops.stiffness, spring), ops.coordinates, progress=progress)
+
+    def solve(self, f: npt.ArrayLike, *, strict: bool = False) -> Floats:
+        """``L u = M f``, that is ``-Δu = f``, with zero mean on each component.
+
+        Parameters
+        ----------
+        f : array_like (n,) or (n, k)
+            Values at the vertices. Their mean on each component is taken off first, for else there is no solution.
+        strict : bool
+            Refuse an f whose mean is not zero instead.
+
+        Returns
+        -------
+        ndarray (n,) or (n, k)
+
+        Raises
+        ------
+        InputError
+            The length does not fit, a number is not finite, or (``strict``) a mean is not zero.
+        """
+        values = np.asarray(f)
+        values = floats(values, "f", (len(self.operators.mass),) if values.ndim == 1 else (len(self.operators.mass), None))
+        mass = self.operators.mass if values.ndim == 1 else self.operators.mass[:, None]
+        right = mass * values
+        if strict:
+            sums, sizes = self._sums(right), self._sums(np.abs(right))
+            wrong = np.abs(sums) > 1e-9 * sizes
+            if wrong.any():
+                where = tuple(np.argwhere(wrong)[0])
+                raise InputError(
+                    f"f has the integral {sums[where]:.3g} on component {where[0]}; it must be 0 for a solution: "
+                    "subtract its mean, or leave strict= out"
+                )
+        return self.solve_integrated(right)
+
+    def solve_integrated(self, b: Floats) -> Floats:
+        """``L u = b`` for a right-hand side that is integrated already, (n,) or (n, k); zero mean on each component."""
+        ops = self.operators
+        labels, masses = ops.component_labels, ops.component_masses
+        shares = np.divide(ops.mass, masses[labels], out=np.zeros_like(ops.mass), where=masses[labels] > 0)
+        if b.ndim == 2:
+            shares = shares[:, None]
+        right = b - shares * self._sums(b)[labels]
+        u = self._factor.solve(right)
+        return u - self._sums(shares * u)[labels]
+
+    def _sums(self, values: Floats) -> Floats:
+        labels = self.operators.component_labels
+        if values.ndim == 1:
+            return np.bincount(labels, weights=values).astype(np.float64)
+        return np.stack([np.bincount(labels, weights=column) for column in values.T], axis=1)
+
+
+def solve_poisson(shape: Shape | Operators, f: npt.ArrayLike, *, strict: bool = False, progress: Progress = None) -> Floats:
+    """Solve ``-Δu = f`` on a shape: ``L u = M f`` with zero mean on each component.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+    f : array_like (n,) or (n, k)
+        Values at the vertices; their mean on each component is taken off first.
+    strict : bool
+        Refuse an f whose mean is not zero instead.
+    progress : callable or True, optional
+
+    Returns
+    -------
+    ndarray (n,) or (n, k)
+
+    Raises
+    ------
+    InputError
+        The length does not fit, a number is not finite, or (``strict``) a mean is not zero.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> sphere = bt.shapes.sphere(4)
+    >>> u = bt.solve_poisson(sphere, sphere.vertices[:, 2])
+    >>> bool(abs(u - sphere.vertices[:, 2] / 2).max() < 0.01)
+    True
+    """
+    return PoissonSolver(shape, progress=progress).solve(f, strict=strict)

@@ -7,6 +7,9 @@ mod ordering;
 mod sweep;
 mod symbolic;
 
+mod eigen;
+
 pub use cholesky::{Cholesky, Scratch};
+pub use eigen::{EigenOptions, Eigenpairs, Mass, eigenpairs};
 pub use laplacian::LaplacianSolver;
 pub use symbolic::Symbolic;

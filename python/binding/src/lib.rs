@@ -2,6 +2,7 @@
 
 mod cholesky;
 mod convert;
+mod eigen;
 mod error;
 mod intrinsic;
 mod io;
@@ -21,6 +22,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::cholesky::Cholesky;
+    #[pymodule_export]
+    use super::eigen::eigenpairs;
     #[pymodule_export]
     use super::intrinsic::{intrinsic_divergence, intrinsic_gradient, intrinsic_operators, thinnest_face};
     #[pymodule_export]

@@ -1,0 +1,124 @@
+"""Laplace-Beltrami eigenpairs: frequencies of a shape and the functions that vibrate with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+
+from . import _core, arrays
+from .arrays import Floats
+from .errors import InputError
+from .operators import Operators, operators
+from .progress import Progress, reporter
+from .shapes import Shape
+
+__all__ = ["Eigenpairs", "eigenpairs"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Eigenpairs:
+    """The k smallest eigenpairs ``L φ = λ diag(m) φ``.
+
+    Attributes
+    ----------
+    values : ndarray (k,)
+        λ, ascending, with all copies of multiple ones; 1 / length² for surfaces.
+    functions : ndarray (n, k)
+        φ, orthonormal in the mass inner product; the entry of largest size is positive. 0 at vertices without mass.
+    residuals : ndarray (k,)
+        ``|L φ - λ m φ|`` in the norm of ``diag(m)^-1``: an exact eigenvalue lies within this distance of the value.
+    iterations : int
+        Blocks of solves that were needed; 0 where a dense solver was faster.
+    shape : TriangleMesh or PointCloud or None
+        What they belong to; None for a pencil of matrices.
+    """
+
+    values: Floats
+    functions: Floats
+    residuals: Floats
+    iterations: int
+    shape: Shape | None = None
+
+    def __repr__(self) -> str:
+        n, k = self.functions.shape
+        return f"Eigenpairs(k = {k}, n = {n}, largest residual {self.residuals.max():.1e})"
+
+
+def eigenpairs(
+    shape: Shape | Operators | Any,
+    k: int,
+    *,
+    mass: Any = None,
+    shift: float | None = None,
+    start: Any = None,
+    progress: Progress = None,
+) -> Eigenpairs:
+    """The k smallest eigenpairs of the Laplacian of a shape, or of a pencil of matrices.
+
+    Block shift-invert Lanczos on one Cholesky factor; small problems are solved densely. A pair that has not converged is never
+    handed out. The same input gives the same bits.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud, Operators, or a sparse symmetric matrix (n, n)
+        A matrix must be positive semidefinite, or ``shift`` lie below its spectrum.
+    k : int
+        How many, at most the number of vertices that have mass.
+    mass : array_like (n,) or sparse matrix (n, n), optional
+        With a matrix: the diagonal mass, or a positive definite one; ones if left out. Not allowed with a shape.
+    shift : float, optional
+        A number below the smallest eigenvalue; the default is a small negative one.
+    start : array_like (n, w), optional
+        Vectors near the wanted ones, e.g. those of a similar shape with the same vertices: fewer solves are needed.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops with :class:`Cancelled`.
+
+    Returns
+    -------
+    Eigenpairs
+
+    Raises
+    ------
+    InputError
+        k is out of range, or arrays do not fit.
+    NumericalError
+        The shifted matrix is not positive definite, or numbers overflow.
+    ConvergenceError
+        A pair did not converge.
+
+    References
+    ----------
+    Grimes, Lewis and Simon, A shifted block Lanczos algorithm for solving sparse symmetric generalized eigenproblems, 1994.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> bt.eigenpairs(bt.shapes.sphere(4), 4).values.round(2)
+    array([0., 2., 2., 2.])
+    """
+    k = arrays.whole(k, "k", 1)
+    if shift is not None:
+        shift = arrays.number(shift, "shift")
+    belongs: Shape | None = None
+    coordinates: Floats | None = None
+    if sparse.issparse(shape) or isinstance(shape, np.ndarray):
+        matrix = arrays.csr_in(shape, "the matrix")
+        n = matrix[0]
+    else:
+        if mass is not None:
+            raise InputError("mass= goes with a matrix; a shape brings its own")
+        ops = operators(shape)
+        belongs, coordinates, n = ops.shape, ops.coordinates, len(ops.mass)
+        matrix = arrays.csr_in(ops.stiffness, "the stiffness")
+        mass = ops.mass
+    first = None if start is None else arrays.floats(start, "start", (n, None))
+    report = reporter(progress, "eigenpairs")
+    if sparse.issparse(mass):
+        found = _core.eigenpairs(matrix, None, arrays.csr_in(mass, "the mass matrix"), k, shift, coordinates, first, report)
+    else:
+        diagonal = np.ones(n) if mass is None else arrays.floats(mass, "mass", (n,))
+        found = _core.eigenpairs(matrix, diagonal, None, k, shift, coordinates, first, report)
+    return Eigenpairs(*found, belongs)

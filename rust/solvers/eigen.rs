@@ -1,0 +1,685 @@
+//! The smallest eigenpairs of `A x = λ M x`: block shift-invert Lanczos with thick restart, dense for small matrices.
+//!
+//! The operator `(A - σ M)^-1 M` with σ < 0 is self-adjoint in the inner product of M; its largest eigenvalues
+//! θ = 1 / (λ - σ) belong to the smallest λ. A block of random vectors finds as many copies of a multiple eigenvalue as it is
+//! wide; where a cluster is at least that large, the search goes on from a fresh random block until nothing new appears.
+//! The basis is kept orthonormal by two passes of Gram-Schmidt (Grimes, Lewis, Simon 1994; Wu, Simon 2000).
+
+use super::{Cholesky, Scratch};
+use crate::control::Control;
+use crate::error::{Error, Result};
+use crate::sparse::Csr;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
+use rayon::prelude::*;
+
+/// The matrix M of a pencil.
+#[derive(Debug, Clone, Copy)]
+pub enum Mass<'a> {
+    /// A diagonal one, by its entries.
+    Diagonal(&'a [f64]),
+    /// A symmetric positive definite one.
+    Matrix(&'a Csr),
+}
+
+/// Settings of [`eigenpairs`].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct EigenOptions<'a> {
+    /// σ, below the smallest eigenvalue; by default a small share of what λ_k will be.
+    pub shift: Option<f64>,
+    /// Coordinates of the unknowns and their number an unknown: a better order for the factorization.
+    pub coordinates: Option<(&'a [f64], usize)>,
+    /// Vectors to start from, (n, width) row after row.
+    pub start: Option<(&'a [f64], usize)>,
+}
+
+/// Eigenpairs, by ascending eigenvalue.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Eigenpairs {
+    /// Eigenvalues, k of them.
+    pub values: Vec<f64>,
+    /// Eigenvectors, (n, k) row after row, orthonormal in the inner product of M; the entry of largest size is positive.
+    pub vectors: Vec<f64>,
+    /// `|A x - λ M x|` in the norm of M^-1 (of the diagonal of M, where M is a matrix): for a diagonal M an exact eigenvalue
+    /// lies within this distance of the value.
+    pub residuals: Vec<f64>,
+    /// Blocks of solves that were needed; 0 on the dense path.
+    pub iterations: usize,
+}
+
+const BLOCK: usize = 8;
+const ROWS: usize = 1024; // rows of one parallel task in the dense products; fixed, so that sums are grouped alike
+const DENSE: usize = 256; // matrices up to this size are solved densely
+const TOLERANCE: f64 = 1e-11; // of a Ritz pair, relative to its θ
+const MAX_BLOCKS: usize = 1000;
+
+/// The k smallest eigenvalues of `A x = λ M x` with all copies of multiple ones, and their vectors.
+///
+/// ```
+/// use beltrami::{Control, Csr, solvers::{EigenOptions, Mass, eigenpairs}};
+/// let path = Csr::new(3, 3, vec![0, 2, 5, 7], vec![0, 1, 0, 1, 2, 1, 2], vec![1.0, -1.0, -1.0, 2.0, -1.0, -1.0, 1.0])?;
+/// let found = eigenpairs(&path, Mass::Diagonal(&[1.0; 3]), 3, &EigenOptions::default(), &Control::default())?;
+/// for (value, exact) in found.values.iter().zip([0.0, 1.0, 3.0]) {
+///     assert!((value - exact).abs() < 1e-12);
+/// }
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Input`] if sizes do not fit, a mass is negative, or k is more than the unknowns that have mass;
+/// [`Error::Numerical`] if A - σ M or M is not positive definite; [`Error::NotConverged`]; [`Error::Cancelled`].
+pub fn eigenpairs(matrix: &Csr, mass: Mass, k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+    let n = matrix.rows();
+    let mass_size = match mass {
+        Mass::Diagonal(diagonal) => diagonal.len(),
+        Mass::Matrix(m) => m.rows(),
+    };
+    if matrix.columns() != n || mass_size != n {
+        return Err(Error::input(format!(
+            "the pencil has matrices of {n} x {} and {mass_size} rows; they must be square and alike",
+            matrix.columns()
+        )));
+    }
+    if k == 0 {
+        return Err(Error::input("0 eigenpairs were asked for; ask for at least 1"));
+    }
+    if let Some((numbers, width)) = options.start {
+        if width == 0 || numbers.len() != n * width || numbers.iter().any(|number| !number.is_finite()) {
+            return Err(Error::input(format!("start has {} numbers, not {n} rows of {width} finite ones", numbers.len())));
+        }
+    }
+    if let Mass::Diagonal(diagonal) = mass {
+        if let Some(row) = diagonal.iter().position(|&entry| !(entry >= 0.0 && entry.is_finite())) {
+            return Err(Error::input(format!("mass {row} is {}; masses must be positive and finite", diagonal[row])));
+        }
+        // Unknowns without mass take no part, if nothing couples them (vertices of no triangle).
+        let kept: Vec<usize> = (0..n).filter(|&row| diagonal[row] > 0.0).collect();
+        if kept.len() < n {
+            return without_massless(matrix, diagonal, &kept, k, options, control);
+        }
+    }
+    if k > n {
+        return Err(Error::input(format!("{k} eigenpairs were asked for, the shape has {n} vertices with mass; ask for at most {n}")));
+    }
+    let found = Pencil::new(matrix, mass)?.smallest(k, options, control)?;
+    found.checked(matrix, mass)
+}
+
+fn without_massless(matrix: &Csr, mass: &[f64], kept: &[usize], k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+    let n = matrix.rows();
+    let mut number = vec![u32::MAX; n];
+    for (new, &old) in kept.iter().enumerate() {
+        number[old] = new as u32;
+    }
+    if let Some(row) = (0..n).find(|&row| number[row] == u32::MAX && matrix.row(row).1.iter().any(|&value| value != 0.0)) {
+        return Err(Error::numerical(format!(
+            "unknown {row} has no mass but is coupled to others: the pencil has an infinite eigenvalue; repair the faces around it"
+        )));
+    }
+    let (mut starts, mut indices, mut values) = (vec![0], Vec::new(), Vec::new());
+    for &old in kept {
+        let (columns, numbers) = matrix.row(old);
+        for (&column, &value) in columns.iter().zip(numbers).filter(|&(&column, _)| number[column as usize] != u32::MAX) {
+            indices.push(number[column as usize]);
+            values.push(value);
+        }
+        starts.push(indices.len());
+    }
+    let smaller = Csr::trusted(kept.len(), kept.len(), starts, indices, values);
+    let rows = |numbers: &[f64], width: usize| -> Vec<f64> {
+        kept.iter().flat_map(|&old| numbers[old * width..][..width].iter().copied()).collect()
+    };
+    let (coordinates, start) = (options.coordinates.map(|(c, d)| (rows(c, d), d)), options.start.map(|(s, w)| (rows(s, w), w)));
+    let smaller_options = EigenOptions {
+        shift: options.shift,
+        coordinates: coordinates.as_ref().map(|(c, d)| (c.as_slice(), *d)),
+        start: start.as_ref().map(|(s, w)| (s.as_slice(), *w)),
+    };
+    let found = eigenpairs(&smaller, Mass::Diagonal(&rows(mass, 1)), k, &smaller_options, control)?;
+    let mut vectors = vec![0.0; n * k];
+    for (new, &old) in kept.iter().enumerate() {
+        vectors[old * k..][..k].copy_from_slice(&found.vectors[new * k..][..k]);
+    }
+    Ok(Eigenpairs { vectors, ..found })
+}
+
+/// A fixed sequence of numbers in [-1, 1): the start must be the same in every run (splitmix64, Steele et al. 2014).
+struct Sequence(u64);
+
+impl Sequence {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    fn block(&mut self, n: usize, width: usize) -> Vec<f64> {
+        (0..n * width).map(|_| self.next()).collect()
+    }
+}
+
+struct Pencil<'a> {
+    matrix: &'a Csr,
+    mass: Mass<'a>,
+    n: usize,
+}
+
+/// Columns of length n kept side by side, row after row, with room for more.
+struct Basis {
+    numbers: Vec<f64>,
+    room: usize,
+    width: usize,
+}
+
+impl Basis {
+    fn new(n: usize, room: usize) -> Self {
+        Basis { numbers: vec![0.0; n * room], room, width: 0 }
+    }
+
+    fn push(&mut self, block: &[f64], width: usize) {
+        let (room, at) = (self.room, self.width);
+        self.numbers.par_chunks_mut(ROWS * room).zip(block.par_chunks(ROWS * width)).for_each(|(rows, block)| {
+            for (row, source) in rows.chunks_exact_mut(room).zip(block.chunks_exact(width)) {
+                row[at..at + width].copy_from_slice(source);
+            }
+        });
+        self.width += width;
+    }
+
+    /// V^T W.
+    fn inner(&self, block: &[f64], width: usize) -> Mat<f64> {
+        let parts: Vec<Mat<f64>> = self
+            .numbers
+            .par_chunks(ROWS * self.room)
+            .zip(block.par_chunks(ROWS * width))
+            .map(|(rows, block)| {
+                let count = block.len() / width;
+                let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room);
+                let right = MatRef::from_row_major_slice(block, count, width);
+                let mut part = Mat::zeros(self.width, width);
+                matmul(part.as_mut(), Accum::Replace, left.transpose(), right, 1.0, Par::Seq);
+                part
+            })
+            .collect();
+        parts.into_iter().fold(Mat::zeros(self.width, width), |sum, part| sum + part)
+    }
+
+    /// W - V C, in place.
+    fn subtract(&self, block: &mut [f64], width: usize, coefficients: &Mat<f64>) {
+        block.par_chunks_mut(ROWS * width).zip(self.numbers.par_chunks(ROWS * self.room)).for_each(|(block, rows)| {
+            let count = block.len() / width;
+            let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room);
+            let target = MatMut::from_row_major_slice_mut(block, count, width);
+            matmul(target, Accum::Add, left, coefficients.as_ref(), -1.0, Par::Seq);
+        });
+    }
+
+    /// V S, as a block.
+    fn combine(&self, n: usize, coefficients: MatRef<f64>) -> Vec<f64> {
+        let width = coefficients.ncols();
+        let mut out = vec![0.0; n * width];
+        out.par_chunks_mut(ROWS * width).zip(self.numbers.par_chunks(ROWS * self.room)).for_each(|(out, rows)| {
+            let count = out.len() / width;
+            let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room);
+            matmul(MatMut::from_row_major_slice_mut(out, count, width), Accum::Replace, left, coefficients, 1.0, Par::Seq);
+        });
+        out
+    }
+}
+
+/// W C for a block W, row after row.
+fn transform(block: &[f64], width: usize, coefficients: MatRef<f64>) -> Vec<f64> {
+    let (n, out_width) = (block.len() / width, coefficients.ncols());
+    let mut out = vec![0.0; n * out_width];
+    out.par_chunks_mut(ROWS * out_width).zip(block.par_chunks(ROWS * width)).for_each(|(out, block)| {
+        let count = block.len() / width;
+        let source = MatRef::from_row_major_slice(block, count, width);
+        matmul(MatMut::from_row_major_slice_mut(out, count, out_width), Accum::Replace, source, coefficients, 1.0, Par::Seq);
+    });
+    out
+}
+
+/// X^T Y for two blocks of one width.
+fn gram(x: &[f64], y: &[f64], width: usize) -> Mat<f64> {
+    let parts: Vec<Mat<f64>> = x
+        .par_chunks(ROWS * width)
+        .zip(y.par_chunks(ROWS * width))
+        .map(|(x, y)| {
+            let count = x.len() / width;
+            let (x, y) = (MatRef::from_row_major_slice(x, count, width), MatRef::from_row_major_slice(y, count, width));
+            let mut part = Mat::zeros(width, width);
+            matmul(part.as_mut(), Accum::Replace, x.transpose(), y, 1.0, Par::Seq);
+            part
+        })
+        .collect();
+    parts.into_iter().fold(Mat::zeros(width, width), |sum, part| sum + part)
+}
+
+/// Eigenvalues (ascending) and vectors of a symmetric matrix.
+fn dense_eigen(matrix: MatRef<f64>) -> Result<(Vec<f64>, Mat<f64>)> {
+    let broken = || {
+        Error::numerical(
+            "a projected eigenproblem could not be solved: the matrices are too badly scaled; use laplacian=\"intrinsic_delaunay\"",
+        )
+    };
+    let n = matrix.nrows();
+    if (0..n).any(|j| (0..n).any(|i| !matrix[(i, j)].is_finite())) {
+        return Err(broken());
+    }
+    let found = matrix.self_adjoint_eigen(Side::Lower).map_err(|_| broken())?;
+    let values: Vec<f64> = (0..n).map(|i| found.S()[i]).collect();
+    if values.iter().any(|value| !value.is_finite()) {
+        return Err(broken());
+    }
+    Ok((values, found.U().to_owned()))
+}
+
+impl<'a> Pencil<'a> {
+    fn new(matrix: &'a Csr, mass: Mass<'a>) -> Result<Self> {
+        Ok(Pencil { matrix, mass, n: matrix.rows() })
+    }
+
+    fn mass_times(&self, block: &[f64], width: usize) -> Result<Vec<f64>> {
+        match self.mass {
+            Mass::Matrix(matrix) => matrix.multiply_block(block, width),
+            Mass::Diagonal(diagonal) => {
+                let mut out = block.to_vec();
+                out.par_chunks_mut(ROWS * width).zip(diagonal.par_chunks(ROWS)).for_each(|(out, diagonal)| {
+                    for (row, &entry) in out.chunks_exact_mut(width).zip(diagonal) {
+                        row.iter_mut().for_each(|number| *number *= entry);
+                    }
+                });
+                Ok(out)
+            }
+        }
+    }
+
+    fn mass_diagonal(&self) -> Vec<f64> {
+        match self.mass {
+            Mass::Diagonal(diagonal) => diagonal.to_vec(),
+            Mass::Matrix(matrix) => matrix.diagonal(),
+        }
+    }
+
+    /// A - σ M.
+    fn shifted(&self, shift: f64) -> Result<Csr> {
+        match self.mass {
+            Mass::Diagonal(diagonal) => self.matrix.combine(1.0, &Csr::from_diagonal(diagonal), -shift),
+            Mass::Matrix(matrix) => self.matrix.combine(1.0, matrix, -shift),
+        }
+    }
+
+    /// By Weyl's law λ_k is about k / n of the largest; the median quotient stands for the latter, so that a few bad
+    /// triangles do not count.
+    fn default_shift(&self, k: usize) -> f64 {
+        let mut quotients: Vec<f64> =
+            self.matrix.diagonal().iter().zip(self.mass_diagonal()).map(|(a, m)| a / m).filter(|q| q.is_finite()).collect();
+        quotients.sort_unstable_by(f64::total_cmp);
+        let median = quotients.get(quotients.len() / 2).copied().unwrap_or(0.0);
+        let scale = if median > 0.0 { median } else { quotients.last().copied().unwrap_or(0.0) };
+        if scale > 0.0 { -0.02 * scale * (k + 1) as f64 / (self.n + 1) as f64 } else { -1.0 }
+    }
+
+    fn smallest(&self, k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+        // With most of the spectrum wanted the basis would be the whole space.
+        if self.n <= DENSE || (3 * k + 4 * BLOCK > self.n && self.n <= 8 * DENSE) {
+            self.dense(k)
+        } else {
+            self.lanczos(k, options, control)
+        }
+    }
+
+    fn dense(&self, k: usize) -> Result<Eigenpairs> {
+        let n = self.n;
+        let full = |matrix: &Csr| {
+            let mut dense = Mat::<f64>::zeros(n, n);
+            for row in 0..n {
+                let (columns, values) = matrix.row(row);
+                for (&column, &value) in columns.iter().zip(values) {
+                    dense[(row, column as usize)] = value;
+                }
+            }
+            dense
+        };
+        let mut a = full(self.matrix);
+        // Reduce to a standard problem: C^-1 A C^-T with M = C C^T.
+        let back: Mat<f64> = match self.mass {
+            Mass::Diagonal(diagonal) => {
+                let scale: Vec<f64> = diagonal.iter().map(|m| 1.0 / m.sqrt()).collect();
+                for j in 0..n {
+                    for i in 0..n {
+                        a[(i, j)] *= scale[i] * scale[j];
+                    }
+                }
+                let (values, mut vectors) = dense_eigen(a.as_ref())?;
+                for j in 0..n {
+                    for i in 0..n {
+                        vectors[(i, j)] *= scale[i];
+                    }
+                }
+                return Ok(Eigenpairs::from_columns(&values, vectors.as_ref(), k));
+            }
+            Mass::Matrix(matrix) => {
+                let lower =
+                    full(matrix).llt(Side::Lower).map_err(|_| Error::numerical("the mass matrix is not positive definite"))?.L().to_owned();
+                let mut inverse = Mat::<f64>::identity(n, n);
+                faer::linalg::triangular_solve::solve_lower_triangular_in_place(lower.as_ref(), inverse.as_mut(), Par::Seq);
+                inverse
+            }
+        };
+        let (values, vectors) = dense_eigen((&back * &a * back.transpose()).as_ref())?;
+        Ok(Eigenpairs::from_columns(&values, (back.transpose() * &vectors).as_ref(), k))
+    }
+
+    fn lanczos(&self, k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+        let n = self.n;
+        let shift = options.shift.unwrap_or_else(|| self.default_shift(k));
+        let factor = Cholesky::new(&self.shifted(shift)?, options.coordinates, control)?;
+        let start_width = options.start.map_or(BLOCK, |(_, width)| width.min(k + BLOCK)).min(n);
+        let room = (k + (k + k / 4).max(5 * BLOCK) + 2 * start_width.max(BLOCK)).min(n);
+        let mut search = Search {
+            pencil: self,
+            factor: &factor,
+            basis: Basis::new(n, room),
+            projected: Mat::zeros(room, room),
+            sequence: Sequence(0),
+            block: Vec::new(),
+            mass_block: Vec::new(),
+            scratch: Scratch::default(),
+            coupling: Mat::zeros(0, 0),
+        };
+        let start = match options.start {
+            Some((numbers, width)) => numbers.chunks_exact(width).flat_map(|row| row[..start_width].iter().copied()).collect(),
+            None => search.sequence.block(n, start_width),
+        };
+        search.fresh_block(start, start_width)?;
+        let mut known: Option<Vec<f64>> = None; // the values before the last search for missing copies
+        for blocks in 1..=MAX_BLOCKS {
+            control.check()?;
+            search.expand(control)?;
+            let full = search.basis.width == n && search.block.is_empty();
+            let crowded = search.basis.width + search.width() > room;
+            // While it looks for missing copies a fresh block gets all the room: they must have the time to appear.
+            let due = full || crowded || (known.is_none() && search.basis.width >= k + BLOCK && blocks % 2 == 0);
+            if !due {
+                control.report((search.basis.width as f64 / room as f64).min(0.99))?;
+                continue;
+            }
+            let (theta, vectors, errors) = search.ritz()?;
+            let enough = theta.len() >= k && (0..k).all(|i| errors[i] <= TOLERANCE * theta[i].abs());
+            if full || enough {
+                let values: Vec<f64> = theta[..k].to_vec();
+                let last_search_found_nothing =
+                    known.as_ref().is_some_and(|known| known.iter().zip(&values).all(|(a, b)| (a - b).abs() <= 1e-9 * a.abs()));
+                if full || last_search_found_nothing || !has_large_cluster(&values) {
+                    let x = search.basis.combine(n, vectors.subcols(0, k));
+                    return Ok(Eigenpairs {
+                        values: values.iter().map(|theta| shift + 1.0 / theta).collect(),
+                        vectors: x,
+                        residuals: Vec::new(),
+                        iterations: blocks,
+                    });
+                }
+                known = Some(values);
+                search.restart(k, &theta, &vectors, true)?;
+            } else if crowded {
+                search.restart(k + (room - k) / 3, &theta, &vectors, false)?;
+            }
+        }
+        Err(Error::NotConverged(format!(
+            "{k} eigenpairs of {n} unknowns did not converge in {MAX_BLOCKS} blocks of solves; the shape may have slivers: use laplacian=\"intrinsic_delaunay\", or ask for fewer"
+        )))
+    }
+}
+
+/// Whether so many of the values are equal that copies beyond the width of a block may be missing.
+fn has_large_cluster(theta: &[f64]) -> bool {
+    theta.windows(BLOCK).any(|window| (window[0] - window[BLOCK - 1]).abs() <= 1e-6 * window[0].abs())
+}
+
+/// The state of one block Lanczos run: `Op V = V H + Q (coupling) E^T`, V orthonormal, Q the block to come.
+struct Search<'a> {
+    pencil: &'a Pencil<'a>,
+    factor: &'a Cholesky,
+    basis: Basis,
+    projected: Mat<f64>,
+    sequence: Sequence,
+    block: Vec<f64>,
+    mass_block: Vec<f64>,
+    scratch: Scratch,
+    coupling: Mat<f64>, // of the block to come with the last columns of the basis
+}
+
+impl Search<'_> {
+    fn width(&self) -> usize {
+        self.block.len() / self.pencil.n
+    }
+
+    /// Takes the block into the basis, applies the operator to it and makes the next block.
+    fn expand(&mut self, control: &Control) -> Result<()> {
+        let (first, width) = (self.basis.width, self.width());
+        self.basis.push(&self.block, width);
+        let mut next = vec![0.0; self.mass_block.len()];
+        self.factor.solve_block_into(&self.mass_block, width, &mut next, &mut self.scratch)?;
+        control.check()?;
+        if next.iter().any(|number| !number.is_finite()) {
+            return Err(Error::numerical(
+                "a solve of the eigenproblem overflowed; rescale the shape, or use laplacian=\"intrinsic_delaunay\"",
+            ));
+        }
+        let coefficients = self.orthogonalize(&mut next, width)?;
+        for j in 0..width {
+            for i in 0..self.basis.width {
+                self.projected[(i, first + j)] = coefficients[(i, j)];
+                self.projected[(first + j, i)] = coefficients[(i, j)];
+            }
+        }
+        for i in 0..width {
+            for j in 0..i {
+                let mean = 0.5 * (coefficients[(first + i, j)] + coefficients[(first + j, i)]);
+                self.projected[(first + i, first + j)] = mean;
+                self.projected[(first + j, first + i)] = mean;
+            }
+        }
+        let room = (self.pencil.n - self.basis.width).min(width);
+        self.normalize(next, width, room)
+    }
+
+    /// W - V (V^T M W), twice; the coefficients.
+    fn orthogonalize(&self, block: &mut [f64], width: usize) -> Result<Mat<f64>> {
+        let mut total = Mat::zeros(self.basis.width, width);
+        if self.basis.width == 0 {
+            return Ok(total);
+        }
+        for _ in 0..2 {
+            let coefficients = self.basis.inner(&self.pencil.mass_times(block, width)?, width);
+            self.basis.subtract(block, width, &coefficients);
+            total += coefficients;
+        }
+        Ok(total)
+    }
+
+    /// Makes the block orthonormal, W = Q R: Q becomes the next block (at most `room` columns), R the coupling. Directions
+    /// that vanish are left out; when none is left a fresh random block takes over.
+    fn normalize(&mut self, block: Vec<f64>, width: usize, room: usize) -> Result<()> {
+        let (q, r) = self.orthonormal(block, width, 1e-13)?;
+        let got = q.len() / self.pencil.n;
+        if got == 0 && room > 0 {
+            let fresh = self.sequence.block(self.pencil.n, room);
+            return self.fresh_block(fresh, room);
+        }
+        let kept = got.min(room);
+        self.mass_block = Vec::new();
+        self.block = if kept == 0 {
+            Vec::new()
+        } else if kept == got {
+            q
+        } else {
+            transform(&q, got, Mat::<f64>::identity(got, got).as_ref().subcols(0, kept))
+        };
+        if kept > 0 {
+            self.mass_block = self.pencil.mass_times(&self.block, kept)?;
+        }
+        self.coupling = r.as_ref().subrows(0, kept).to_owned();
+        Ok(())
+    }
+
+    /// A block that is not coupled to the basis.
+    fn fresh_block(&mut self, mut block: Vec<f64>, width: usize) -> Result<()> {
+        self.orthogonalize(&mut block, width)?;
+        let (q, _) = self.orthonormal(block, width, 1e-10)?;
+        self.block = q;
+        let kept = self.width();
+        if kept == 0 {
+            return Err(Error::numerical("no start vector is independent of the others; leave start= out"));
+        }
+        self.mass_block = self.pencil.mass_times(&self.block, kept)?;
+        self.coupling = Mat::zeros(kept, 0);
+        Ok(())
+    }
+
+    /// W = Q R with Q^T M Q = I and Q orthogonal to the basis, by the eigenvectors of the Gram matrix (Stathopoulos & Wu
+    /// 2002), repeated until orthonormal; R has one row a column of Q.
+    fn orthonormal(&self, mut block: Vec<f64>, width: usize, drop: f64) -> Result<(Vec<f64>, Mat<f64>)> {
+        let n = self.pencil.n;
+        let mut r = Mat::<f64>::identity(width, width);
+        let mut columns = width;
+        for pass in 0..4 {
+            if pass > 0 && columns > 0 {
+                self.orthogonalize(&mut block, columns)?;
+            }
+            if columns == 0 {
+                break;
+            }
+            let inner = gram(&block, &self.pencil.mass_times(&block, columns)?, columns);
+            let scale: Vec<f64> = (0..columns).map(|i| inner[(i, i)].max(0.0).sqrt()).collect();
+            let largest = scale.iter().fold(0.0, |a: f64, &b| a.max(b));
+            if largest == 0.0 {
+                return Ok((Vec::new(), Mat::zeros(0, width)));
+            }
+            let unit = |i: usize| if scale[i] > 0.0 { 1.0 / scale[i] } else { 0.0 };
+            let mut normed = Mat::zeros(columns, columns);
+            for j in 0..columns {
+                for i in 0..columns {
+                    normed[(i, j)] = 0.5 * (inner[(i, j)] + inner[(j, i)]) * unit(i) * unit(j);
+                }
+            }
+            let off = (0..columns)
+                .flat_map(|j| (0..columns).map(move |i| (i, j)))
+                .map(|(i, j)| (inner[(i, j)] - f64::from(u8::from(i == j))).abs())
+                .fold(0.0, f64::max);
+            if pass > 0 && off < 1e-14 * columns as f64 {
+                break;
+            }
+            let (values, vectors) = dense_eigen(normed.as_ref())?;
+            // In the first pass a direction of no weight is noise; later ones only polish.
+            let floor = if pass == 0 { drop * drop } else { 0.0 };
+            let kept: Vec<usize> = (0..columns).filter(|&i| values[i] > floor * columns as f64 && values[i] > 0.0).collect();
+            let mut forward = Mat::zeros(columns, kept.len());
+            let mut backward = Mat::zeros(kept.len(), columns);
+            for (new, &old) in kept.iter().enumerate() {
+                let root = values[old].sqrt();
+                for i in 0..columns {
+                    forward[(i, new)] = unit(i) * vectors[(i, old)] / root;
+                    backward[(new, i)] = root * vectors[(i, old)] * scale[i];
+                }
+            }
+            block = transform(&block, columns, forward.as_ref());
+            r = &backward * &r;
+            columns = kept.len();
+        }
+        if columns == 0 {
+            block = Vec::new();
+        }
+        debug_assert_eq!(block.len(), n * columns);
+        Ok((block, r))
+    }
+
+    /// Ritz values by descending θ, vectors in the basis, and the error of each.
+    fn ritz(&self) -> Result<(Vec<f64>, Mat<f64>, Vec<f64>)> {
+        let size = self.basis.width;
+        let (values, vectors) = dense_eigen(self.projected.as_ref().submatrix(0, 0, size, size))?;
+        let order: Vec<usize> = (0..size).rev().collect();
+        let theta: Vec<f64> = order.iter().map(|&i| values[i]).collect();
+        let turned = Mat::from_fn(size, size, |i, j| vectors[(i, order[j])]);
+        let last = self.coupling.ncols();
+        let tail = &self.coupling * turned.as_ref().subrows(size - last, last);
+        let errors = (0..size).map(|j| (0..tail.nrows()).map(|i| tail[(i, j)] * tail[(i, j)]).sum::<f64>().sqrt()).collect();
+        Ok((theta, turned, errors))
+    }
+
+    /// Shrinks the basis to its `keep` best Ritz vectors. `fresh`: goes on with a random block, to look for missing copies.
+    fn restart(&mut self, keep: usize, theta: &[f64], vectors: &Mat<f64>, fresh: bool) -> Result<()> {
+        let (n, keep) = (self.pencil.n, keep.min(theta.len()));
+        let last = self.coupling.ncols();
+        let size = self.basis.width;
+        let arrow = &self.coupling * vectors.as_ref().submatrix(size - last, 0, last, keep);
+        let kept = self.basis.combine(n, vectors.as_ref().subcols(0, keep));
+        let room = self.basis.room;
+        self.basis.width = 0;
+        self.basis.push(&kept, keep);
+        self.projected = Mat::zeros(room, room);
+        for (i, &value) in theta[..keep].iter().enumerate() {
+            self.projected[(i, i)] = value;
+        }
+        self.coupling = arrow;
+        if fresh {
+            let width = BLOCK.min(n - keep);
+            let block = self.sequence.block(n, width);
+            self.fresh_block(block, width)?;
+        }
+        Ok(())
+    }
+}
+
+impl Eigenpairs {
+    fn from_columns(values: &[f64], vectors: MatRef<f64>, k: usize) -> Self {
+        let vectors = (0..vectors.nrows()).flat_map(|i| (0..k).map(move |j| vectors[(i, j)])).collect();
+        Eigenpairs { values: values[..k].to_vec(), vectors, residuals: Vec::new(), iterations: 0 }
+    }
+
+    /// Sorted, with fixed signs, Rayleigh quotients as values, and the residuals; refuses what has not converged.
+    fn checked(mut self, matrix: &Csr, mass: Mass) -> Result<Self> {
+        let k = self.values.len();
+        let pencil = Pencil::new(matrix, mass)?;
+        let (images, mass_images) = (matrix.multiply_block(&self.vectors, k)?, pencil.mass_times(&self.vectors, k)?);
+        let diagonal = pencil.mass_diagonal();
+        let columns: Vec<(f64, f64, f64, f64, f64)> = (0..k)
+            .into_par_iter()
+            .map(|j| {
+                let column = |numbers: &[f64], row: usize| numbers[row * k + j];
+                let (mut norm, mut energy, mut largest) = (0.0, 0.0, 0.0f64);
+                for row in 0..pencil.n {
+                    let x = column(&self.vectors, row);
+                    norm += x * column(&mass_images, row);
+                    energy += x * column(&images, row);
+                    if x.abs() > largest.abs() * (1.0 + 1e-9) {
+                        largest = x;
+                    }
+                }
+                let value = energy / norm;
+                let (mut rest, mut size) = (0.0, 0.0);
+                for row in 0..pencil.n {
+                    let r = column(&images, row) - value * column(&mass_images, row);
+                    rest += r * r / diagonal[row];
+                    size += column(&images, row).powi(2) / diagonal[row];
+                }
+                (value, (rest / norm).sqrt(), largest.signum() / norm.sqrt(), size, norm)
+            })
+            .collect();
+        if let Some(j) =
+            columns.iter().position(|&(value, rest, scale, _, _)| !(value.is_finite() && rest.is_finite() && scale.is_finite()))
+        {
+            return Err(Error::numerical(format!("eigenpair {j} overflowed; rescale the shape, or use laplacian=\"intrinsic_delaunay\"")));
+        }
+        let mut order: Vec<usize> = (0..k).collect();
+        order.sort_by(|&a, &b| columns[a].0.total_cmp(&columns[b].0));
+        self.values = order.iter().map(|&j| columns[j].0).collect();
+        self.residuals = order.iter().map(|&j| columns[j].1).collect();
+        self.vectors =
+            self.vectors.par_chunks(k).flat_map_iter(|row| order.iter().map(|&j| row[j] * columns[j].2).collect::<Vec<_>>()).collect();
+        Ok(self)
+    }
+}
