@@ -245,16 +245,18 @@ class TriangleMesh:
             low, high = (self.vertices.min(0), self.vertices.max(0)) if len(self.vertices) else (np.zeros(self.dimension),) * 2
             steps = self.vertices[found.edges[:, 0]] - self.vertices[found.edges[:, 1]]
             scale = float(np.abs(steps).max(initial=0.0))
-            lengths = np.linalg.norm(steps / scale, axis=1) * scale if 0 < scale < np.inf else np.zeros(len(steps))
+            lengths = np.linalg.norm(steps / scale, axis=1) if 0 < scale < np.inf else np.zeros(len(steps))
             areas = self.face_areas
-            reason = found.non_manifold or found.one_sided
+            total = float(areas.sum())
+            sizes = (lengths.min(), lengths.mean(), lengths.max()) if len(lengths) else None
+            edge_length = None if sizes is None else (float(sizes[0] * scale), float(sizes[1] * scale), float(sizes[2] * scale))
         return MeshReport(
             vertices=len(self.vertices),
             dimension=self.dimension,
             faces=len(self.faces),
-            area=float(areas.sum()) if np.isfinite(areas).all() else None,
+            area=total if np.isfinite(total) else None,
             bounds=(tuple(low.tolist()), tuple(high.tolist())),
-            edge_length=(float(lengths.min()), float(lengths.mean()), float(lengths.max())) if len(lengths) else None,
+            edge_length=edge_length,
             components=found.components,
             euler_characteristic=found.euler,
             genus=found.genus,
@@ -266,7 +268,7 @@ class TriangleMesh:
             unreferenced_vertices=found.unreferenced,
             repeated_corner_faces=found.degenerate,
             zero_area_faces=int((areas == 0).sum()) - found.degenerate,
-            reason=reason,
+            reason=found.non_manifold or found.one_sided,
             data=tuple(self.data),
         )
 

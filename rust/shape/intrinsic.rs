@@ -86,7 +86,7 @@ impl Start {
         }
         if !(1e-140..1e140).contains(&largest) {
             return Err(Error::input(format!(
-                "the mesh has edges of length {largest:e}, whose squares are out of the range of double precision; rescale it"
+                "the mesh has edges of length {largest:.3e}, whose squares are out of the range of double precision; rescale it"
             )));
         }
         let left_out = mesh.faces().len() - faces.len();

@@ -103,14 +103,28 @@ impl<'a> TriangleMesh<'a> {
     /// If there is no such face.
     pub fn face_area(&self, face: usize) -> f64 {
         let [a, b, c] = self.faces[face].map(|corner| self.vertex(corner));
-        let mut sum = 0.0;
-        for i in 0..self.dimension {
-            for j in 0..i {
-                let minor = (b[i] - a[i]) * (c[j] - a[j]) - (b[j] - a[j]) * (c[i] - a[i]);
-                sum += minor * minor;
+        let twice = |scale: f64| {
+            let step = |p: &[f64], axis: usize| scale * (p[axis] - a[axis]);
+            let mut sum = 0.0;
+            for i in 0..self.dimension {
+                for j in 0..i {
+                    let minor = step(b, i) * step(c, j) - step(b, j) * step(c, i);
+                    sum += minor * minor;
+                }
             }
+            sum
+        };
+        let sum = twice(1.0);
+        if (1e-200..1e200).contains(&sum) {
+            return 0.5 * sum.sqrt();
         }
-        0.5 * sum.sqrt()
+        // fourth powers of the edges may have over- or underflowed
+        let largest = (0..self.dimension).map(|axis| (b[axis] - a[axis]).abs().max((c[axis] - a[axis]).abs())).fold(0.0, f64::max);
+        if !(largest > 0.0 && largest < f64::INFINITY) {
+            return largest;
+        }
+        let scale = 2f64.powi(-largest.log2().round().clamp(-1000.0, 1000.0) as i32);
+        0.5 * twice(scale).sqrt() / scale / scale
     }
 
     /// Areas of all faces.
