@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -57,7 +57,7 @@ def load(
     Returns
     -------
     TriangleMesh or PointCloud
-        ``.data`` holds the numbers of each vertex in the file's own types: colours as ``colors`` (n, 3) or (n, 4), normals as
+        ``.data`` holds the numbers of each vertex as the file has them, in its own types: colours as ``colors`` (n, 3) or (n, 4), normals as
         ``normals`` (n, 3), texture coordinates as ``uv`` (n, 2; on a seam those of the first face), every other property under its
         name. Reals of text files are doubles. Finite normals of a cloud also become its ``normals``, positive ``weights`` its weights.
 
@@ -78,6 +78,10 @@ def load(
     >>> bt.load(([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
     TriangleMesh(3 vertices in R^3, 1 faces)
     """
+    if not (weld is None or isinstance(weld, bool | np.bool_)):
+        raise InputError(f"weld is {weld!r}; choose True, False or None (STL files only)")
+    weld = None if weld is None else bool(weld)
+    _check_format(format)
     if isinstance(source, TriangleMesh | PointCloud):
         if not weld:
             return source
@@ -129,13 +133,23 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
     >>> bt.load(path).genus
     0
     """
+    _check_format(format)
+    try:
+        name = os.fsdecode(path)
+    except TypeError:
+        raise InputError(f"path is {path!r}; a str or PathLike is needed") from None
     if not isinstance(shape, TriangleMesh | PointCloud):
         shape = load(shape)
     vertices, faces, fields = _parts(shape)
     kept, lost = _storable(fields)
-    lost += _core.save_file(os.fspath(path), vertices, faces, kept, format, bool(ascii), reporter(progress, "save"))
+    lost += _core.save_file(name, vertices, faces, kept, format, bool(ascii), reporter(progress, "save"))
     if lost:
-        warnings.warn(f"{os.fspath(path)} has no place for data {', '.join(map(repr, lost))}; .ply keeps numbers of any type", stacklevel=2)
+        warnings.warn(f"{name} has no place for data {', '.join(map(repr, lost))}; .ply keeps numbers of any type", stacklevel=2)
+
+
+def _check_format(format: Any) -> None:
+    if not (format is None or isinstance(format, str)):
+        raise InputError(f"format is {format!r}; name one of {', '.join(get_args(Format))}")
 
 
 def _parts(shape: TriangleMesh | PointCloud) -> tuple[Floats, Ints, Fields]:
@@ -388,15 +402,15 @@ def _from_open3d(source: Any) -> tuple[Floats, Ints, Fields]:
 
     if hasattr(source, "get_geometry_type") or not hasattr(source, "material"):  # open3d.geometry
         cloud = hasattr(source, "points")
-        if not cloud and not hasattr(source, "triangles"):
+        if hasattr(source, "lines") or not (cloud or hasattr(source, "triangles")):
             raise InputError(f"a {type(source).__name__} of open3d is neither a triangle mesh nor a point cloud")
-        owner, prefix = source, "" if cloud else "vertex_"
-        data = {name: table(getattr(owner, prefix + name)) for name in ("colors", "normals")}
+        prefix = "" if cloud else "vertex_"
+        data = {name: table(getattr(source, prefix + name)) for name in ("colors", "normals")}
         points, faces = (source.points, None) if cloud else (source.vertices, source.triangles)
         return _checked(table(points), None if faces is None else table(faces), {k: v for k, v in data.items() if len(v)})
     attributes = source.vertex if hasattr(source, "vertex") else getattr(source, "point", None)  # open3d.t.geometry
-    if attributes is None or "positions" not in attributes:
-        raise InputError(f"a {type(source).__name__} of open3d has no positions")
+    if attributes is None or "positions" not in attributes or hasattr(source, "line"):
+        raise InputError(f"a {type(source).__name__} of open3d is neither a triangle mesh nor a point cloud with positions")
     data = {str(name): table(attributes[name]) for name in attributes if name != "positions"}
     faces = table(source.triangle["indices"]) if hasattr(source, "triangle") and "indices" in source.triangle else None
     return _checked(table(attributes["positions"]), faces, data)

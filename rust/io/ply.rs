@@ -318,10 +318,10 @@ pub(super) fn parse(mut source: Source<'_>, control: &Control) -> Parsed<Geometr
             _ => body.skip(element)?,
         }
     }
-    if let Body::Ascii(text) = &mut body {
-        if text.more()? {
-            return Stop::line(text.line(), "more numbers than the header announces");
-        }
+    if let Body::Ascii(text) = &mut body
+        && text.more()?
+    {
+        return Stop::line(text.line(), "more numbers than the header announces");
     }
     let Some((dimension, vertices, columns)) = vertices else {
         return Stop::line(header.lines, "the header has no element `vertex`");
@@ -557,12 +557,12 @@ fn read_faces(body: &mut Body<'_, '_>, element: &Element, count: usize, faces: &
     }
     let (mut row, mut list, mut polygon) = (0, Vec::new(), Vec::new());
     while row < element.count {
-        if let (Body::Binary(source, swap), [property]) = (&mut *body, element.properties.as_slice()) {
-            if let (Some(Scalar::U8 | Scalar::I8), Scalar::I32 | Scalar::U32) = (property.list, property.kind) {
-                row += plain_triangles(source, *swap, element.count - row, count, faces);
-                if row == element.count {
-                    break;
-                }
+        if let (Body::Binary(source, swap), [property]) = (&mut *body, element.properties.as_slice())
+            && let (Some(Scalar::U8 | Scalar::I8), Scalar::I32 | Scalar::U32) = (property.list, property.kind)
+        {
+            row += plain_triangles(source, *swap, element.count - row, count, faces);
+            if row == element.count {
+                break;
             }
         }
         for property in &element.properties {

@@ -132,14 +132,12 @@ impl Cutter {
         let scaled = offsets.map(|offset| offset.map(|number| number / size));
         let (mut area, mut last) = ([0.0; 3], [0.0; 3]);
         for next in scaled.clone().skip(1) {
-            for axis in 0..3 {
-                let (j, k) = ((axis + 1) % 3, (axis + 2) % 3);
-                area[axis] += last[j] * next[k] - last[k] * next[j];
-            }
+            let part = cross(last, next);
+            area = std::array::from_fn(|axis| area[axis] + part[axis]);
             last = next;
         }
         let length = area.iter().map(|number| number * number).sum::<f64>().sqrt();
-        if !(length > 1e-14) {
+        if length.is_nan() || length <= 1e-14 {
             return false;
         }
         let normal = area.map(|number| number / length);
@@ -147,7 +145,7 @@ impl Cutter {
         let axis = (0..3).min_by(|&a, &b| normal[a].abs().total_cmp(&normal[b].abs())).unwrap_or(0);
         let mut first = normal.map(|number| -number * normal[axis]);
         first[axis] += 1.0;
-        let second: [f64; 3] = std::array::from_fn(|i| normal[(i + 1) % 3] * first[(i + 2) % 3] - normal[(i + 2) % 3] * first[(i + 1) % 3]);
+        let second = cross(normal, first);
         let dot = |a: &[f64; 3], b: &[f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         self.flat.clear();
         self.flat.extend(scaled.map(|place| [dot(&place, &first), dot(&place, &second)]));
@@ -202,6 +200,10 @@ impl Cutter {
 
 fn fan(corners: &[u32], out: &mut Vec<[u32; 3]>) {
     out.extend(corners.windows(2).skip(1).map(|pair| [corners[0], pair[0], pair[1]]));
+}
+
+pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Twice the signed area of a triangle.

@@ -29,7 +29,7 @@ pub(super) fn welded<'a>(shape: Geometry<'a>, control: &Control) -> Parsed<Geome
     let mut kept: Vec<u32> = Vec::new();
     let mut number = super::source::reserved(count)?;
     for vertex in 0..count as u32 {
-        if vertex as usize % STEP == 0 {
+        if (vertex as usize).is_multiple_of(STEP) {
             control.check()?;
         }
         let mut slot = slot_of(vertex);

@@ -418,14 +418,15 @@ fn stl(out: &mut Out<'_>, shape: &Geometry<'_>, ascii: bool) -> Parsed<()> {
             }
             out.text("endloop\nendfacet\n");
         } else {
-            for number in normal.into_iter().chain(corners.into_iter().flatten()) {
-                let single = number as f32;
+            let mut record = [0; 50];
+            for (place, number) in record.chunks_exact_mut(4).zip(normal.iter().chain(corners.as_flattened())) {
+                let single = *number as f32;
                 if !single.is_finite() {
                     return Stop::whole(format!("coordinate {number:e} is beyond single precision, which binary STL has; save as .ply"));
                 }
-                out.buffer.extend_from_slice(&single.to_le_bytes());
+                place.copy_from_slice(&single.to_le_bytes());
             }
-            out.buffer.extend_from_slice(&[0, 0]);
+            out.buffer.extend_from_slice(&record);
         }
         out.row()?;
     }
@@ -443,7 +444,7 @@ fn normal([a, b, c]: [[f64; 3]; 3]) -> [f64; 3] {
     }
     let edge = |p: [f64; 3]| -> [f64; 3] { std::array::from_fn(|i| p[i] / size - a[i] / size) };
     let (u, v) = (edge(b), edge(c));
-    let cross: [f64; 3] = std::array::from_fn(|i| u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3]);
+    let cross = super::polygon::cross(u, v);
     let length = cross.iter().map(|number| number * number).sum::<f64>().sqrt();
     if length > 0.0 { cross.map(|number| number / length) } else { [0.0; 3] }
 }

@@ -159,7 +159,7 @@ fn standard_names(table: &Table, format: Format, path: &Path) -> Vec<String> {
         6 if name.contains(".xyzrgb") => names.extend(colors),
         6 if format != Format::Pts && table.values.chunks_exact(6).all(unit) => names.extend(normals),
         6 if table.values.chunks_exact(6).all(channel) || format == Format::Pts => names.extend(colors),
-        9 if format == Format::Xyz && table.values.chunks_exact(9).all(|row| channel(row)) => {
+        9 if format == Format::Xyz && table.values.chunks_exact(9).all(channel) => {
             names.extend(colors);
             names.extend(normals);
         }

@@ -169,6 +169,15 @@ def test_order_in_the_plane_and_in_many_dimensions(tmp_path):
     np.testing.assert_array_equal(bt.load(tmp_path / "a.off").vertices, SQUARE * [1, 1, 0])
 
 
+def test_names_that_mean_something_to_readers(tmp_path):
+    """Once a column `z` beside x and y became a coordinate, and a table `red` kept colours apart."""
+    red, z = np.arange(12, dtype=np.int16).reshape(4, 3), np.arange(4.0)
+    colors = np.arange(16, dtype=np.uint8).reshape(4, 4)
+    flat = bt.TriangleMesh(SQUARE[:, :2], TWO, data={"colors": colors, "red": red, "z": z, "nx": z, "x3": z, "vertex_indices": z})
+    bt.save(flat, tmp_path / "a.ply")
+    assert_same(bt.load(tmp_path / "a.ply"), flat)
+
+
 def test_integers_that_ply_cannot_hold_are_refused_before_the_file_is_touched(tmp_path):
     path = tmp_path / "a.ply"
     path.write_text("before")
@@ -285,6 +294,11 @@ def test_faults_of_paths_and_arguments(tmp_path):
         bt.load("")
     with pytest.raises(bt.InputError, match='format "blend" is not known'):
         bt.load(tmp_path / "a.what", format="blend")
+    for wrong in ({"weld": "yes"}, {"format": 5}, {"progress": 5}, {"dimension": 4}):
+        with pytest.raises(bt.InputError, match=next(iter(wrong))):
+            bt.load(REGRESS / "header.csv", **wrong)
+    with pytest.raises(bt.InputError, match="path is 5"):
+        bt.save(SQUARE, 5)
     with pytest.raises(bt.InputError, match=r"a builtins.dict cannot be loaded"):
         bt.load({"vertices": SQUARE})
     with pytest.raises(bt.InputError, match="face 0 refers to vertex 9"):
