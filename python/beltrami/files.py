@@ -57,9 +57,10 @@ def load(
     Returns
     -------
     TriangleMesh or PointCloud
-        ``.data`` holds the numbers of each vertex as the file has them, in its own types: colours as ``colors`` (n, 3) or (n, 4), normals as
-        ``normals`` (n, 3), texture coordinates as ``uv`` (n, 2; on a seam those of the first face), every other property under its
-        name. Reals of text files are doubles. Finite normals of a cloud also become its ``normals``, positive ``weights`` its weights.
+        ``.data`` holds the numbers of each vertex as the file has them, in its own types: colours as ``colors`` (n, 3) or (n, 4),
+        normals as ``normals`` (n, 3), texture coordinates as ``uv`` (n, 2; on a seam those of the first face), every other property
+        under its name. Reals of text files are doubles. Finite normals of a cloud also become its ``normals``, positive ``weights``
+        its weights.
 
     Raises
     ------

@@ -13,7 +13,11 @@ use std::path::PathBuf;
 type Loaded<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i32>>, Vec<(String, Bound<'py, PyAny>)>);
 
 fn format_named(py: Python<'_>, name: Option<&str>) -> PyResult<Option<Format>> {
-    name.map(|name| Format::named(name).ok_or_else(|| error::input(py, format!("format {name:?} is not known; choose obj, ply, stl, off, xyz, pts or csv")))).transpose()
+    name.map(|name| {
+        Format::named(name)
+            .ok_or_else(|| error::input(py, format!("format {name:?} is not known; choose obj, ply, stl, off, xyz, pts or csv")))
+    })
+    .transpose()
 }
 
 fn out<'py>(py: Python<'py>, shape: Geometry<'static>) -> PyResult<Loaded<'py>> {
