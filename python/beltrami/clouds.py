@@ -28,6 +28,7 @@ class _LocalMesh(NamedTuple):
     boundary: npt.NDArray[np.bool_]
     spacing: Floats
     frames: Floats
+    curvature: Floats
     estimated_dimension: float
 
 
@@ -163,19 +164,41 @@ class CloudOperators(Operators):
         return arrays.csr_out(_core.local_stiffness(self.local_mesh, values), (n, n))
 
     @cached_property
-    def element_volumes(self) -> Floats:
+    def simplex_areas(self) -> Floats:
         """(m,): area (volume) of each simplex, times votes / (d + 1): they add up to the mass."""
         volumes: Floats = _core.local_volumes(self.local_mesh) * self.votes / (self.shape.dimension + 1)
         return volumes
 
-    def element_gradients(self, values: npt.ArrayLike) -> Floats:
-        """Gradient of a function on each simplex, (m, D).
+    @cached_property
+    def simplex_gradient(self) -> sparse.csr_array:
+        """(m D, n): gradient of piecewise-linear functions on each simplex; ``stiffness`` is its square, weighted by ``simplex_areas``."""
+        n, space = self.shape.points.shape
+        return arrays.csr_out(_core.local_gradient(self.local_mesh), (len(self.votes) * space, n))
 
-        Parameters
-        ----------
-        values : array_like (n,)
-        """
-        return _core.local_gradients(self.local_mesh, arrays.floats(values, "values", (len(self.shape.points),)))
+    @cached_property
+    def second_fundamental_form(self) -> Floats:
+        """(n, d, d, D): the normal vectors by which the cloud bends along the directions of ``frames``, in 1 / length."""
+        n, space = self.shape.points.shape
+        d = self.shape.dimension
+        pairs = self._found.curvature.reshape(n, -1, space)
+        form = np.empty((n, d, d, space))
+        for at, (a, b) in enumerate(zip(*np.triu_indices(d), strict=True)):
+            form[:, a, b] = form[:, b, a] = pairs[:, at]
+        return form
+
+    @property
+    def mean_curvature(self) -> Floats:
+        """(n, D): the mean curvature vector, the mean of the second fundamental form's diagonal; -x on the unit sphere."""
+        trace: Floats = np.trace(self.second_fundamental_form, axis1=1, axis2=2) / self.shape.dimension
+        return trace
+
+    @property
+    def scalar_curvature(self) -> Floats:
+        """(n,): Σ h_aa · h_bb - |h_ab|² (Gauss' equation): twice the Gaussian curvature of a surface, 6 on the unit S^3."""
+        form = self.second_fundamental_form
+        trace = np.trace(form, axis1=1, axis2=2)
+        curvature: Floats = (trace * trace).sum(1) - (form * form).sum((1, 2, 3))
+        return curvature
 
     @cached_property
     def _least_squares(self) -> tuple[sparse.csr_array, sparse.csr_array]:

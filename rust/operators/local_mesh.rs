@@ -56,6 +56,8 @@ pub struct LocalMesh {
     pub spacing: Vec<f64>,
     /// Orthonormal tangent vectors, d x D numbers a point.
     pub frames: Vec<f64>,
+    /// The second fundamental form in the frame's directions: for each point a vector of R^D for each pair a <= b.
+    pub curvature: Vec<f64>,
     /// The dimension that the growth of the neighbours' distances suggests; far from `dimension`, that one may be wrong.
     pub estimated_dimension: f64,
 }
@@ -113,6 +115,17 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
     let size = dimension * ambient;
     let mut axes = vec![0.0; cloud.count() * size];
     axes.par_chunks_mut(size).zip(&cloud.rank).for_each(|(out, &rank)| out.copy_from_slice(frames.axes(rank as usize, ambient)));
+    let pairs = dimension * (dimension + 1) / 2 * ambient;
+    let mut curvature = vec![0.0; cloud.count() * pairs];
+    let doubled: Vec<f64> = (0..dimension).flat_map(|a| (a..dimension).map(move |b| if a == b { 2.0 } else { 1.0 })).collect();
+    curvature.par_chunks_mut(pairs).zip(&cloud.rank).for_each(|(out, &rank)| {
+        let bends = frames.bends(rank as usize, ambient);
+        for (pair, factor) in doubled.iter().enumerate() {
+            for coordinate in pair * ambient..(pair + 1) * ambient {
+                out[coordinate] = factor * bends[coordinate] * cloud.scale;
+            }
+        }
+    });
     control.report(1.0)?;
     Ok(LocalMesh {
         dimension,
@@ -122,6 +135,7 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
         boundary: restore(&|rank| boundary[rank]),
         spacing: cloud.rank.iter().map(|&rank| frames.spacing[rank as usize] / cloud.scale).collect(),
         frames: axes,
+        curvature,
         estimated_dimension: frames.estimate,
     })
 }
@@ -932,95 +946,49 @@ impl<'a> VotedSimplices<'a> {
         unit * p.iter().zip(q).map(|(x, y)| ((x - y) / unit) * ((x - y) / unit)).sum::<f64>().sqrt()
     }
 
-    /// The gradient of a function on one simplex, D numbers.
-    fn gradient_into(&self, element: &Element, simplex: usize, values: &[f64], out: &mut [f64]) {
-        let corners = self.corners(simplex);
-        let d = self.dimension;
-        let mut coefficients = [0.0; 3];
-        for b in 0..d {
-            let rise = values[corners[b + 1] as usize] - values[corners[0] as usize];
-            for a in 0..d {
-                coefficients[a] += element.inverse[b][a] * rise;
-            }
-        }
-        let origin = &self.points[corners[0] as usize * self.ambient..][..self.ambient];
-        out.fill(0.0);
-        for a in 0..d {
-            let there = &self.points[corners[a + 1] as usize * self.ambient..][..self.ambient];
-            let c = coefficients[a] / element.unit / element.unit;
-            for ((out, x), o) in out.iter_mut().zip(there).zip(origin) {
-                *out += c * (x - o);
-            }
-        }
-    }
-
-    /// Gradient of a function (one value a point) on each simplex: D numbers a simplex.
+    /// Gradient of piecewise-linear functions, (simplices D) x points: rows s D ... s D + D - 1 give the gradient on simplex s.
+    ///
+    /// With A the volumes times votes / (d + 1), `stiffness = gradient^T A gradient`.
     ///
     /// # Errors
-    /// [`Error::Input`] if `values` has another length than the cloud.
-    pub fn gradients(&self, values: &[f64]) -> Result<Vec<f64>> {
-        self.check_values(values)?;
-        let mut out = vec![0.0; self.votes.len() * self.ambient];
-        out.par_chunks_mut(CHUNK * self.ambient).enumerate().for_each(|(chunk, out)| {
-            for (at, out) in out.chunks_exact_mut(self.ambient).enumerate() {
+    /// [`Error::Numerical`] if an entry is not finite (coordinates in extreme units).
+    pub fn gradient(&self) -> Result<Csr> {
+        let (size, ambient) = (self.dimension + 1, self.ambient);
+        let rows = self.votes.len() * ambient;
+        let (mut indices, mut values) = (vec![0; rows * size], vec![0.0; rows * size]);
+        let block = CHUNK * ambient * size;
+        indices.par_chunks_mut(block).zip(values.par_chunks_mut(block)).enumerate().for_each(|(chunk, (indices, values))| {
+            let simplices = indices.chunks_exact_mut(ambient * size).zip(values.chunks_exact_mut(ambient * size));
+            for (at, (indices, values)) in simplices.enumerate() {
                 let simplex = chunk * CHUNK + at;
-                if let Some(element) = self.element(simplex) {
-                    self.gradient_into(&element, simplex, values, out);
-                }
-            }
-        });
-        Ok(out)
-    }
-
-    /// The heat method's right-hand side (Crane, Weischedel and Wardetzky 2013): the integrated divergence, at each point, of
-    /// the unit field along -grad of `heat`.
-    ///
-    /// # Errors
-    /// [`Error::Input`] if `heat` has another length than the cloud.
-    pub fn unit_gradient_divergence(&self, heat: &[f64]) -> Result<Vec<f64>> {
-        self.check_values(heat)?;
-        let size = self.dimension + 1;
-        let mut parts = vec![0.0; self.votes.len() * size];
-        parts.par_chunks_mut(CHUNK * size).enumerate().for_each(|(chunk, parts)| {
-            for (at, parts) in parts.chunks_exact_mut(size).enumerate() {
-                let simplex = chunk * CHUNK + at;
-                let Some(element) = self.element(simplex) else { continue };
                 let corners = self.corners(simplex);
-                // In the basis of hat gradients: <grad hat_a, grad u> = Σ_b products[a][b] u_b; scaled so that nothing underflows.
-                let least = corners.iter().map(|&corner| heat[corner as usize]).fold(f64::INFINITY, f64::min);
-                let most = corners.iter().map(|&corner| heat[corner as usize]).fold(f64::NEG_INFINITY, f64::max);
-                if !(most > least) {
-                    continue;
-                }
-                let mut products = [0.0; 4];
-                let mut square = 0.0;
-                for a in 0..size {
-                    for b in 0..size {
-                        products[a] += element.products[a][b] * ((heat[corners[b] as usize] - least) / (most - least));
+                let element = self.element(simplex);
+                let mut order = [0, 1, 2, 3];
+                order[..size].sort_unstable_by_key(|&a| corners[a]);
+                let origin = &self.points[corners[0] as usize * ambient..][..ambient];
+                for coordinate in 0..ambient {
+                    let mut hats = [0.0; 4];
+                    if let Some(element) = &element {
+                        for a in 0..self.dimension {
+                            let there = self.points[corners[a + 1] as usize * ambient + coordinate];
+                            let edge = (there - origin[coordinate]) / element.unit / element.unit;
+                            for b in 0..self.dimension {
+                                hats[b + 1] += element.inverse[b][a] * edge;
+                            }
+                        }
+                        hats[0] = -hats[1..].iter().sum::<f64>();
+                    }
+                    for (to, &a) in order[..size].iter().enumerate() {
+                        indices[coordinate * size + to] = corners[a];
+                        values[coordinate * size + to] = hats[a];
                     }
                 }
-                for a in 0..size {
-                    square += products[a] * ((heat[corners[a] as usize] - least) / (most - least));
-                }
-                let factor =
-                    self.share(simplex) * element.volume * element.unit.powi(self.dimension as i32 - 1) / square.max(1e-300).sqrt();
-                for a in 0..size {
-                    parts[a] = -products[a] * factor;
-                }
             }
         });
-        let mut out = vec![0.0; self.count()];
-        for (&corner, part) in self.corners.iter().zip(&parts) {
-            out[corner as usize] += part;
+        if values.par_iter().with_min_len(CHUNK).any(|value| !value.is_finite()) {
+            return Err(Error::numerical("an entry of the gradient overflows; measure the coordinates in larger units"));
         }
-        Ok(out)
-    }
-
-    fn check_values(&self, values: &[f64]) -> Result<()> {
-        if values.len() != self.count() {
-            return Err(Error::input(format!("{} values for {} points", values.len(), self.count())));
-        }
-        Ok(())
+        Ok(Csr::trusted(rows, self.count(), (0..=rows).map(|row| row * size).collect(), indices, values))
     }
 }
 

@@ -27,10 +27,11 @@ type LocalMeshParts<'py> = (
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
     f64,
 );
 
-/// Simplices, votes, certified, boundary, spacing, frames (n, d * D), estimated dimension.
+/// Simplices, votes, certified, boundary, spacing, frames (n, d D), second fundamental form (n, d (d + 1) / 2 D), estimated dimension.
 #[pyfunction]
 #[pyo3(signature = (points, dimension, neighbors = None, progress = None))]
 pub fn local_mesh<'py>(
@@ -51,6 +52,7 @@ pub fn local_mesh<'py>(
         vector_out(py, mesh.boundary),
         vector_out(py, mesh.spacing),
         table_out(py, mesh.frames, dimension * ambient)?,
+        table_out(py, mesh.curvature, dimension * (dimension + 1) / 2 * ambient)?,
         mesh.estimated_dimension,
     ))
 }
@@ -95,28 +97,10 @@ pub fn local_volumes<'py>(py: Python<'py>, mesh: SimplexArrays<'py>) -> PyResult
     Ok(vector_out(py, volumes))
 }
 
-/// Gradient of a function on each simplex, (m, D).
+/// Gradient of piecewise-linear functions on the simplices, (m D, n).
 #[pyfunction]
-pub fn local_gradients<'py>(
-    py: Python<'py>,
-    mesh: SimplexArrays<'py>,
-    values: PyReadonlyArray1<'py, f64>,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+pub fn local_gradient<'py>(py: Python<'py>, mesh: SimplexArrays<'py>) -> PyResult<CsrParts<'py>> {
     let simplices = mesh.simplices()?;
-    let values = vector(&values)?;
-    let gradients = run::brief(py, || simplices.gradients(values))?;
-    table_out(py, gradients, table(&mesh.0)?.1)
-}
-
-/// Integrated divergence of the unit field along -grad of `heat` (the heat method).
-#[pyfunction]
-pub fn local_unit_gradient_divergence<'py>(
-    py: Python<'py>,
-    mesh: SimplexArrays<'py>,
-    heat: PyReadonlyArray1<'py, f64>,
-) -> PyResult<Bound<'py, PyArray1<f64>>> {
-    let simplices = mesh.simplices()?;
-    let heat = vector(&heat)?;
-    let divergence = run::brief(py, || simplices.unit_gradient_divergence(heat))?;
-    Ok(vector_out(py, divergence))
+    let matrix = run::brief(py, || simplices.gradient())?;
+    Ok(matrix_out(py, matrix))
 }
