@@ -23,6 +23,7 @@ from .files import load, save
 from .geodesic import HeatMethod, geodesic_distance
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
+from .sampling import farthest_points, poisson_disc
 from .shapes import PointCloud, TriangleMesh
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 from .solvers import Cholesky, PoissonSolver, solve_poisson
@@ -58,6 +59,7 @@ __all__ = [
     "examples",
     "geodesic_distance",
     "intersect_rays",
+    "farthest_points",
     "load",
     "nearest_neighbors",
     "neighbors_within",
@@ -65,6 +67,7 @@ __all__ = [
     "num_threads",
     "operators",
     "plot",
+    "poisson_disc",
     "rotation_invariant_sliced_wasserstein",
     "save",
     "set_num_threads",

@@ -78,6 +78,19 @@ class Operators(ABC):
     def element_areas(self) -> Floats:
         """(m,): areas of the triangles that the gradient lives on."""
 
+    @property
+    def simplex_gradient(self) -> sparse.csr_array:
+        """Gradient of piecewise-linear functions on the simplices: ``stiffness`` is its square, weighted by ``simplex_areas``.
+
+        For meshes this is ``gradient``. For clouds, where ``gradient`` lives at the points, it has D rows a simplex of the local mesh.
+        """
+        return self.gradient
+
+    @property
+    def simplex_areas(self) -> Floats:
+        """Weights of the simplices of ``simplex_gradient``; they add up to the mass."""
+        return self.element_areas
+
     @cached_property
     def component_labels(self) -> Ints:
         """(n,): number of the connected component of each vertex, by the pattern of the stiffness."""

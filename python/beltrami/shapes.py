@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -426,6 +426,9 @@ class PointCloud:
         Positive weights of the samples.
     data : mapping of str to array_like (n, ...), optional
         Values that belong to the points.
+    deduplicate : bool
+        Keep only the first of points that coincide (to 1e-10 of the distance to their 6th neighbour), and what belongs to it.
+        Operators refuse clouds with copies.
 
     Raises
     ------
@@ -444,8 +447,9 @@ class PointCloud:
     normals: Floats | None = field(default=None, kw_only=True)
     weights: Floats | None = field(default=None, kw_only=True)
     data: Data = field(default_factory=dict, kw_only=True)
+    deduplicate: InitVar[bool] = field(default=False, kw_only=True)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, deduplicate: bool) -> None:
         points = arrays.points(self.points, "points")
         points = arrays.floats(points, "points", (None, None))
         count, space = points.shape
@@ -462,6 +466,15 @@ class PointCloud:
                 raise InputError(f"weights[{at}] is {weights[at]:g}; weights must be positive")
             set_(self, "weights", arrays.frozen(weights, self.weights))
         set_(self, "data", _frozen_data(self.data, count, "point"))
+        if deduplicate and count > 1:
+            self._keep(_core.first_copies(self.points))
+
+    def _keep(self, kept: npt.NDArray[np.bool_]) -> None:
+        for name in ("points", "normals", "weights"):
+            array = getattr(self, name)
+            if array is not None:
+                object.__setattr__(self, name, arrays.frozen(array[kept], array))
+        object.__setattr__(self, "data", _frozen_data({name: array[kept] for name, array in self.data.items()}, int(kept.sum()), "point"))
 
     def to_trimesh(self) -> Any:
         """The points as a ``trimesh.PointCloud``, ``data["colors"]`` as colours.

@@ -8,6 +8,7 @@
 use super::dense::{Monomials, cholesky, cholesky_solve, symmetric_eigen};
 use crate::control::Control;
 use crate::error::{Error, Result};
+use crate::near::sampling::{COINCIDENT, normalized};
 use crate::near::{KdTree, Scratch};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -66,54 +67,22 @@ pub(crate) fn name_some(indices: &[u32]) -> String {
 
 impl Cloud {
     pub(crate) fn new(points: &[f64], ambient: usize, dimension: usize, control: &Control) -> Result<Cloud> {
-        if ambient == 0 || !points.len().is_multiple_of(ambient) {
-            return Err(Error::input(format!("{} coordinates are no whole number of points in R^{ambient}", points.len())));
-        }
         if dimension == 0 || dimension > ambient {
             return Err(Error::input(format!("intrinsic dimension {dimension} of points in R^{ambient}; it must be from 1 to {ambient}")));
         }
-        let count = points.len() / ambient;
+        let count = points.len() / ambient.max(1);
         if count < dimension + 2 {
             return Err(Error::input(format!(
                 "{count} points; operators of a {dimension}-dimensional cloud need {} or more",
                 dimension + 2
             )));
         }
-        if count > u32::MAX as usize / 2 {
-            return Err(Error::input(format!("{count} points; a cloud can have up to 2^31 - 1")));
-        }
-        if let Some(at) = points.iter().position(|number| !number.is_finite()) {
-            return Err(Error::input(format!(
-                "coordinate {} of point {} is {}; remove that point",
-                at % ambient,
-                at / ambient,
-                points[at]
-            )));
-        }
-        let (mut low, mut high) = (vec![f64::INFINITY; ambient], vec![f64::NEG_INFINITY; ambient]);
-        for point in points.chunks_exact(ambient) {
-            for ((low, high), &x) in low.iter_mut().zip(&mut high).zip(point) {
-                *low = low.min(x);
-                *high = high.max(x);
-            }
-        }
-        let extent = low.iter().zip(&high).map(|(a, b)| b / 2.0 - a / 2.0).fold(0.0, f64::max);
-        if extent == 0.0 {
+        let Some((scaled, scale)) = normalized(points, ambient)? else {
             return Err(Error::input(format!(
                 "all {count} points, 0 to {}, are at one place; an operator needs points that differ (deduplicate=True keeps one of each)",
                 count - 1
             )));
-        }
-        let scale = (-extent.log2().ceil()).clamp(-1023.0, 1023.0).exp2();
-        let middle: Vec<f64> = low.iter().zip(&high).map(|(a, b)| (a / 2.0 + b / 2.0) * scale).collect();
-        let mut scaled = vec![0.0; points.len()];
-        scaled.par_chunks_mut(TASK * 32 * ambient).zip(points.par_chunks(TASK * 32 * ambient)).for_each(|(out, points)| {
-            for (out, point) in out.chunks_exact_mut(ambient).zip(points.chunks_exact(ambient)) {
-                for ((out, x), middle) in out.iter_mut().zip(point).zip(&middle) {
-                    *out = x * scale - middle;
-                }
-            }
-        });
+        };
         let tree = KdTree::new(&scaled, ambient, control)?;
         let original = tree.order().to_vec();
         let mut rank = vec![0; count];
@@ -460,7 +429,7 @@ impl Frames {
                         work.offsets(cloud, rank, &found[..some]);
                         spacing[at] = work.distances[near.min(some - 1)];
                         growth[at] = (work.distances[some - 1] / spacing[at]).ln();
-                        if !(work.distances[0] > 1e-10 * spacing[at]) {
+                        if !(work.distances[0] > COINCIDENT * spacing[at]) {
                             states[at] = State::Duplicate;
                             work.found = found;
                             continue;

@@ -11,6 +11,7 @@ mod mls;
 mod near;
 mod operators;
 mod run;
+mod sampling;
 mod shape;
 mod sliced;
 mod threads;
@@ -38,6 +39,8 @@ mod _core {
     use super::near::{closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals};
     #[pymodule_export]
     use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient};
+    #[pymodule_export]
+    use super::sampling::{farthest_points, first_copies, poisson_disc};
     #[pymodule_export]
     use super::shape::{
         check_mesh, face_areas, make_cylinder, make_disc, make_ellipsoid, make_flat_torus, make_grid, make_knot, make_star, make_tori,

@@ -1,0 +1,95 @@
+"""Subsets of a shape's points that cover it evenly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from . import _core, arrays
+from .arrays import Floats, Ints
+from .progress import Progress, reporter
+from .shapes import PointCloud, TriangleMesh
+
+__all__ = ["farthest_points", "poisson_disc"]
+
+
+def _points(shape: Any) -> Floats:
+    if isinstance(shape, PointCloud):
+        return shape.points
+    if isinstance(shape, TriangleMesh):
+        return shape.vertices
+    return arrays.points(shape, "points")
+
+
+def farthest_points(points: Any, k: int, *, start: int = 0, progress: Progress = None) -> Ints:
+    """k points, each the farthest (straight through space) from all those before it.
+
+    Parameters
+    ----------
+    points : PointCloud, TriangleMesh, or array_like (n, D)
+    k : int
+        From 1 to n.
+    start : int
+        The first one.
+    progress : callable or True, optional
+
+    Returns
+    -------
+    ndarray (k,) of int32
+        Their numbers, in the order of choice; equally far ones by number. The first j of them are the answer for j.
+
+    Raises
+    ------
+    InputError
+        k or start is out of range, or a coordinate is not finite.
+
+    References
+    ----------
+    Gonzalez, Clustering to minimize the maximum intercluster distance, 1985: no k balls that cover the points have less than
+    half the radius of these.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> bt.farthest_points([[0.0], [1.0], [2.0], [3.0], [10.0]], 3).tolist()
+    [0, 4, 3]
+    """
+    table = _points(points)
+    wanted = arrays.whole(k, "k", 1, len(table))
+    first = arrays.whole(start, "start", 0, len(table) - 1)
+    return _core.farthest_points(table, wanted, first, reporter(progress, "farthest points"))
+
+
+def poisson_disc(points: Any, radius: float, *, rng: int | np.random.Generator | None = None, progress: Progress = None) -> Ints:
+    """Points no two of which are nearer than a radius, while every other point is nearer than it to one of them.
+
+    Parameters
+    ----------
+    points : PointCloud, TriangleMesh, or array_like (n, D)
+    radius : float
+        In units of length.
+    rng : int or numpy Generator, optional
+        Points are tried in a random order; without it, in that of their numbers.
+    progress : callable or True, optional
+
+    Returns
+    -------
+    ndarray (k,) of int32
+        Their numbers, in the order of choice.
+
+    Raises
+    ------
+    InputError
+        The radius is not positive, or a coordinate is not finite.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> bt.poisson_disc([[0.0], [1.0], [2.0], [3.0]], 1.5).tolist()
+    [0, 2]
+    """
+    table = _points(points)
+    size = arrays.number(radius, "radius", above=0.0)
+    order = np.arange(len(table)) if rng is None else np.random.default_rng(rng).permutation(len(table))
+    return _core.poisson_disc(table, size, order.astype(np.int32), reporter(progress, "Poisson discs"))
