@@ -19,7 +19,12 @@ pub(crate) fn normalized(points: &[f64], dimension: usize) -> Result<Option<(Vec
         return Err(Error::input(format!("{} points; a cloud can have up to 2^31 - 1", points.len() / dimension)));
     }
     if let Some(at) = points.par_iter().with_min_len(CHUNK).position_first(|number| !number.is_finite()) {
-        return Err(Error::input(format!("coordinate {} of point {} is {}; remove that point", at % dimension, at / dimension, points[at])));
+        return Err(Error::input(format!(
+            "coordinate {} of point {} is {}; remove that point",
+            at % dimension,
+            at / dimension,
+            points[at]
+        )));
     }
     let (mut low, mut high) = (vec![f64::INFINITY; dimension], vec![f64::NEG_INFINITY; dimension]);
     for point in points.chunks_exact(dimension) {
@@ -79,7 +84,8 @@ pub fn first_copies(points: &[f64], dimension: usize, control: &Control) -> Resu
         let row = place * wanted..(place + 1) * wanted;
         let limit = COINCIDENT * distances[row.end - 1];
         let near = neighbors[row.clone()].iter().zip(&distances[row]);
-        let copy = near.take_while(|pair| *pair.1 <= limit).any(|(&other, _)| (other as usize) < place && kept[names[other as usize] as usize]);
+        let copy =
+            near.take_while(|pair| *pair.1 <= limit).any(|(&other, _)| (other as usize) < place && kept[names[other as usize] as usize]);
         kept[index as usize] = !copy;
     }
     Ok(kept)

@@ -27,8 +27,9 @@ use crate::near::Scratch;
 use crate::sparse::Csr;
 use rayon::prelude::*;
 
-/// How much more a negative off-diagonal entry counts than a positive one, as its inverse.
-const NEGATIVE: f64 = 1e-4;
+/// How much more a negative off-diagonal entry counts than a positive one, as its inverse: at first, and where rows without
+/// negative entries are near.
+const NEGATIVE: [f64; 2] = [1e-4, 1e-8];
 
 /// Pivots of the normal equations below this share of their diagonal entry: the fit is not determined.
 const PIVOT: f64 = 1e-11;
@@ -194,7 +195,11 @@ struct MlsWork<'a> {
     vector: Vec<f64>,
     /// A row for each derivative of first and second order: its weight at each neighbour.
     derivatives: Vec<f64>,
+    /// Derivatives of the graph, in units of the reach.
     height: Vec<f64>,
+    /// Inverse metric.
+    inverse: Vec<f64>,
+    reach: f64,
     row: Vec<f64>,
     trial: Vec<f64>,
     strengths: Vec<f64>,
@@ -220,6 +225,8 @@ impl<'a> MlsWork<'a> {
             vector: vec![0.0; 2 * terms],
             derivatives: vec![],
             height: vec![],
+            inverse: vec![],
+            reach: 1.0,
             row: vec![],
             trial: vec![],
             strengths: vec![],
@@ -228,25 +235,46 @@ impl<'a> MlsWork<'a> {
     }
 
     fn point(&mut self, index: usize, rank: usize, part: &mut Part) -> Result<()> {
-        let mut width = self.frames.width;
         self.found.clear();
         self.found.extend_from_slice(self.frames.neighbors(rank));
-        let reach = loop {
-            let reach = self.coordinates(rank);
-            if self.kept.len() >= self.monomials.len() && self.factor(None) {
-                break reach;
+        let Some(mut width) = self.determine(rank)? else {
+            part.undetermined.push(index as u32);
+            return Ok(());
+        };
+        let mut signed = self.fit();
+        // Twice the neighbours often allow a row without negative entries; never if it is exact on polynomials of degree 4.
+        if signed && self.options.constrained && self.options.degree < 4 && width < self.cloud.count() - 1 {
+            let fewer = self.found.clone();
+            width = (2 * width).min(self.cloud.count() - 1);
+            self.cloud.neighbors_into(rank, width, &mut self.near, &mut self.found)?;
+            signed = self.determine(rank)?.is_none() || self.fit();
+            if signed {
+                self.found = fewer;
+                self.determine(rank)?;
+                self.fit();
             }
-            let all = self.cloud.count() - 1;
+        }
+        if signed {
+            part.signed.push(index as u32);
+        }
+        self.emit(rank, part);
+        Ok(())
+    }
+
+    /// Doubles the neighbours until they determine the polynomial, and factors its normal equations; how many it took.
+    fn determine(&mut self, rank: usize) -> Result<Option<usize>> {
+        let (mut width, all) = (self.found.len(), self.cloud.count() - 1);
+        loop {
+            self.reach = self.coordinates(rank);
+            if self.kept.len() >= self.monomials.len() && self.factor(None) {
+                return Ok(Some(width));
+            }
             if width >= (4 * self.frames.width).min(all) {
-                part.undetermined.push(index as u32);
-                return Ok(());
+                return Ok(None);
             }
             width = (2 * width).min(all);
             self.cloud.neighbors_into(rank, width, &mut self.near, &mut self.found)?;
-        };
-        self.differentiate();
-        self.rows(rank, reach, index, part);
-        Ok(())
+        }
     }
 
     /// Neighbours on this sheet: monomials of their scaled tangential coordinates, normal components, weights.
@@ -371,16 +399,17 @@ impl<'a> MlsWork<'a> {
         self.derivatives = derivatives;
     }
 
-    fn rows(&mut self, rank: usize, reach: f64, index: usize, part: &mut Part) {
+    /// Fits the graph, and from it the row of the Laplacian; whether that has a negative entry beside the diagonal.
+    fn fit(&mut self) -> bool {
+        self.differentiate();
         let (ambient, dimension, terms, count) = (self.cloud.ambient, self.frames.dimension, self.monomials.len(), self.kept.len());
         let wanted = self.derivatives.len() / count;
-        // Derivatives of the graph, in units of `reach`.
         self.height.clear();
         self.height.resize(wanted * ambient, 0.0);
         if ambient > dimension {
             for (height, derivative) in self.height.chunks_exact_mut(ambient).zip(self.derivatives.chunks_exact(count)) {
                 for (&c, normal) in derivative.iter().zip(self.normal.chunks_exact(ambient)) {
-                    height.iter_mut().zip(normal).for_each(|(h, x)| *h += c * x / reach);
+                    height.iter_mut().zip(normal).for_each(|(h, x)| *h += c * x / self.reach);
                 }
             }
         }
@@ -427,26 +456,30 @@ impl<'a> MlsWork<'a> {
         if self.options.constrained && row[..count - 1].iter().any(|&c| c < 0.0) {
             self.constrain(&target, &mut row);
         }
-        if row[..count - 1].iter().any(|&c| c < 0.0) {
-            part.signed.push(index as u32);
-        }
+        let signed = row[..count - 1].iter().any(|&c| c < 0.0);
         row[count - 1] = -row[..count - 1].iter().sum::<f64>();
+        self.row = row;
+        self.inverse = inverse;
+        signed
+    }
 
-        // In the caller's numbering and units.
-        let unit = self.cloud.scale / reach;
+    /// The rows of a point in the caller's numbering and units.
+    fn emit(&mut self, rank: usize, part: &mut Part) {
+        let (ambient, dimension, count) = (self.cloud.ambient, self.frames.dimension, self.kept.len());
+        let unit = self.cloud.scale / self.reach;
         let names = |at: u32| self.cloud.original[self.kept[at as usize] as usize];
         self.order.clear();
         self.order.extend(0..count as u32);
         self.order.sort_unstable_by_key(|&at| names(at));
         part.lengths.push(count as u32);
         part.indices.extend(self.order.iter().map(|&at| names(at)));
-        part.laplacian.extend(self.order.iter().map(|&at| row[at as usize] * unit * unit));
+        part.laplacian.extend(self.order.iter().map(|&at| self.row[at as usize] * unit * unit));
         let axes = self.frames.axes(rank, ambient);
         for coordinate in 0..ambient {
             let lift: Vec<f64> = (0..dimension)
                 .map(|b| {
                     (0..dimension)
-                        .map(|a| inverse[a * dimension + b] * (axes[a * ambient + coordinate] + self.height[a * ambient + coordinate]))
+                        .map(|a| self.inverse[a * dimension + b] * (axes[a * ambient + coordinate] + self.height[a * ambient + coordinate]))
                         .sum::<f64>()
                 })
                 .collect();
@@ -456,11 +489,10 @@ impl<'a> MlsWork<'a> {
                 }),
             );
         }
-        self.row = row;
     }
 
     /// Among all rows of these moments, the one with the least sum of squares over weights, negative off-diagonal entries
-    /// counted 1 / [`NEGATIVE`] times: Newton's method on the dual, whose Hessian changes only where an entry changes its sign.
+    /// counted 1 / [`NEGATIVE`] times more: Newton's method on the dual, whose Hessian changes only where an entry changes its sign.
     fn constrain(&mut self, target: &[f64], row: &mut [f64]) {
         let count = row.len();
         let mut strengths = std::mem::take(&mut self.strengths);
@@ -469,31 +501,37 @@ impl<'a> MlsWork<'a> {
         let burden = |row: &[f64]| row[..count - 1].iter().map(|&c| c.min(0.0) * c.min(0.0)).sum::<f64>();
         let mut least = burden(row);
         let mut current = row.to_vec();
-        for round in 0..ROUNDS {
-            let signs = |strength: f64| move |(j, &c): (usize, &f64)| if j + 1 < count && c < 0.0 { strength } else { 1.0 };
-            // First whether the positive entries alone can do it.
-            strengths.clear();
-            strengths.extend(current.iter().enumerate().map(signs(0.0)));
-            if self.factor(Some(&strengths)) {
-                if self.solve(target, Some(&strengths), &mut trial) && trial[..count - 1].iter().all(|&c| c >= 0.0) {
+        'found: for strength in NEGATIVE {
+            for _ in 0..ROUNDS {
+                let signs = |strength: f64| move |(j, &c): (usize, &f64)| if j + 1 < count && c < 0.0 { strength } else { 1.0 };
+                // First whether the positive entries alone can do it.
+                strengths.clear();
+                strengths.extend(current.iter().enumerate().map(signs(0.0)));
+                if self.factor(Some(&strengths))
+                    && self.solve(target, Some(&strengths), &mut trial)
+                    && trial[..count - 1].iter().all(|&c| c >= 0.0)
+                {
                     row.copy_from_slice(&trial);
+                    break 'found;
+                }
+                strengths.clear();
+                strengths.extend(current.iter().enumerate().map(signs(strength)));
+                if !(self.factor(Some(&strengths)) && self.solve(target, Some(&strengths), &mut trial)) {
+                    break 'found;
+                }
+                let negative = burden(&trial);
+                if negative < least {
+                    least = negative;
+                    row.copy_from_slice(&trial);
+                }
+                let settled = trial[..count - 1].iter().zip(&current).all(|(x, y)| (*x < 0.0) == (*y < 0.0));
+                current.copy_from_slice(&trial);
+                if settled {
                     break;
                 }
             }
-            strengths.clear();
-            strengths.extend(current.iter().enumerate().map(signs(NEGATIVE)));
-            if !(self.factor(Some(&strengths)) && self.solve(target, Some(&strengths), &mut trial)) {
-                break;
-            }
-            let negative = burden(&trial);
-            if negative < least {
-                least = negative;
-                row.copy_from_slice(&trial);
-            }
-            let settled = trial[..count - 1].iter().zip(&current).all(|(x, y)| (*x < 0.0) == (*y < 0.0));
-            current.copy_from_slice(&trial);
-            if settled || round + 1 == ROUNDS {
-                break;
+            if self.options.degree >= 4 {
+                break; // no row without negative entries exists
             }
         }
         self.trial = trial;

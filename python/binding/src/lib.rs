@@ -30,9 +30,7 @@ mod _core {
     #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
     #[pymodule_export]
-    use super::local_mesh::{
-        local_edge_length, local_gradient, local_mass, local_mesh, local_stiffness, local_volumes,
-    };
+    use super::local_mesh::{local_edge_length, local_gradient, local_mass, local_mesh, local_stiffness, local_volumes};
     #[pymodule_export]
     use super::mls::moving_least_squares;
     #[pymodule_export]
