@@ -77,7 +77,8 @@ class HeatMethod:
         labels = ops.component_labels
         reached = np.isin(labels, labels[chosen])
         field = self._directions(chosen, reached)
-        distance = self._poisson.solve_integrated(-ops.mass * (ops.divergence @ field.ravel()))
+        flux = ops.simplex_gradient.T @ (field * ops.simplex_areas[:, None]).ravel()
+        distance = self._poisson.solve_integrated(flux)
         # The Poisson equation leaves a constant free on each component: the distance is 0 at its sources, on the average.
         offset = np.zeros(int(labels.max()) + 1)
         np.add.at(offset, labels[chosen], distance[chosen])
@@ -92,13 +93,13 @@ class HeatMethod:
         ops = self.operators
         impulse = np.zeros(len(ops.mass))
         impulse[chosen] = 1.0
-        count = len(ops.element_areas)
-        field, unknown = np.zeros((count, ops.gradient.shape[0] // count)), np.ones(count, bool)
+        count = len(ops.simplex_areas)
+        field, unknown = np.zeros((count, ops.simplex_gradient.shape[0] // count)), np.ones(count, bool)
         for step in range(12):
             if step == len(self._heat):
                 self._heat.append(self._factor(self.time * _LONGER**step, None))
             heat = self._heat[step].solve(impulse)
-            slope = (ops.gradient @ heat).reshape(field.shape)
+            slope = (ops.simplex_gradient @ heat).reshape(field.shape)
             largest = np.abs(slope).max(axis=1)
             usable = unknown & (largest * ops.spacing > _FADED)
             direction = slope[usable] / largest[usable, None]
