@@ -33,7 +33,7 @@ struct Measure {
 
 impl Measure {
     fn new(name: &str, points: &[f64], dimension: usize, weights: Option<&[f64]>) -> Result<Measure> {
-        if dimension == 0 || points.is_empty() || points.len() % dimension != 0 {
+        if dimension == 0 || points.is_empty() || !points.len().is_multiple_of(dimension) {
             return Err(Error::input(format!(
                 "the {name} has {} coordinates; at least one point of R^n with n >= 1 is needed (here n = {dimension})",
                 points.len()
@@ -316,12 +316,12 @@ fn couple<T: Item, U: Item>(source: &Line<T>, target: &Line<U>, scale: f64, mut 
 }
 
 fn check_directions(directions: &[f64], dimension: usize) -> Result<usize> {
-    if directions.is_empty() || directions.len() % dimension != 0 {
+    if directions.is_empty() || !directions.len().is_multiple_of(dimension) {
         return Err(Error::input(format!("{} coordinates are no directions in R^{dimension}; at least one is needed", directions.len())));
     }
     for (index, direction) in directions.chunks_exact(dimension).enumerate() {
         let square: f64 = direction.iter().map(|number| number * number).sum();
-        if !((square - 1.0).abs() <= 1e-6) {
+        if square.is_nan() || (square - 1.0).abs() > 1e-6 {
             return Err(Error::input(format!("direction {index} has length {}; divide directions by their lengths", square.sqrt())));
         }
     }
@@ -524,7 +524,7 @@ impl Alignment {
     pub fn step(&self, rotations: &[f64], control: &Control) -> Result<Vec<Step>> {
         let dimension = self.dimension();
         let size = dimension * dimension;
-        if rotations.len() % size != 0 || !rotations.iter().all(|number| number.is_finite()) {
+        if !rotations.len().is_multiple_of(size) || !rotations.iter().all(|number| number.is_finite()) {
             return Err(Error::input(format!("{} numbers are no finite matrices of R^{dimension}", rotations.len())));
         }
         let total = self.directions.len() / dimension;

@@ -121,9 +121,9 @@ impl<'a> Bvh<'a> {
             .map(|points| {
                 let mut corners = (vec![f64::INFINITY; dimension], vec![f64::NEG_INFINITY; dimension]);
                 for point in points.chunks_exact(dimension) {
-                    for axis in 0..dimension {
-                        corners.0[axis] = least(point[axis], corners.0[axis]);
-                        corners.1[axis] = most(point[axis], corners.1[axis]);
+                    for (axis, &number) in point.iter().enumerate() {
+                        corners.0[axis] = least(number, corners.0[axis]);
+                        corners.1[axis] = most(number, corners.1[axis]);
                     }
                 }
                 corners
@@ -202,7 +202,7 @@ impl<'a> Bvh<'a> {
     }
 
     fn check(&self, numbers: &[f64], what: &str) -> Result<usize> {
-        if numbers.len() % self.dimension != 0 {
+        if !numbers.len().is_multiple_of(self.dimension) {
             return Err(Error::input(format!(
                 "{} coordinates are no whole number of {what}s in R^{}, where the mesh is",
                 numbers.len(),
@@ -383,7 +383,7 @@ impl<'a> Bvh<'a> {
             return Best { square, face, barycentric };
         }
         let mut best = Best { square: f64::INFINITY, face, barycentric: [1.0, 0.0, 0.0] };
-        for k in 0..3 {
+        for (k, length) in lengths.iter().enumerate() {
             let (mut i, mut j) = (k, (k + 1) % 3);
             if vertices[j] < vertices[i] {
                 (i, j) = (j, i);
@@ -393,7 +393,7 @@ impl<'a> Bvh<'a> {
             for axis in 0..dimension {
                 along += (query[axis] - from[axis]) * (to[axis] - from[axis]);
             }
-            let share = along / lengths[k];
+            let share = along / length;
             let share = if share > 0.0 { least(share, 1.0) } else { 0.0 };
             let mut square = 0.0;
             for axis in 0..dimension {
@@ -497,10 +497,10 @@ impl<'a> Bvh<'a> {
                 }
                 let first = (node * WIDTH + lane as usize) * LEAF;
                 for &face in &self.order[first..(first + LEAF).min(self.order.len())] {
-                    if let Some((distance, barycentric)) = self.hit(ray, face) {
-                        if distance < best.square || (distance == best.square && face < best.face) {
-                            best = Best { square: distance, face, barycentric };
-                        }
+                    if let Some((distance, barycentric)) = self.hit(ray, face)
+                        && (distance < best.square || (distance == best.square && face < best.face))
+                    {
+                        best = Best { square: distance, face, barycentric };
                     }
                 }
             }

@@ -10,6 +10,7 @@ use super::BATCH;
 use crate::control::Control;
 use crate::error::{Error, Result};
 use crate::sparse::CHUNK;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
 
@@ -290,7 +291,7 @@ impl KdTree {
     /// [`Error::Input`] if `dimension` is 0 or does not divide the numbers, or a coordinate is not finite;
     /// [`Error::Cancelled`].
     pub fn new(points: &[f64], dimension: usize, control: &Control) -> Result<KdTree> {
-        if dimension == 0 || points.len() % dimension != 0 {
+        if dimension == 0 || !points.len().is_multiple_of(dimension) {
             return Err(Error::input(format!("{} coordinates are no whole number of points in R^{dimension}", points.len())));
         }
         let count = points.len() / dimension;
@@ -351,7 +352,7 @@ impl KdTree {
     }
 
     fn check_queries(&self, queries: &[f64]) -> Result<usize> {
-        if queries.len() % self.dimension != 0 {
+        if !queries.len().is_multiple_of(self.dimension) {
             return Err(Error::input(format!(
                 "{} coordinates are no whole number of queries in R^{}, where the points are",
                 queries.len(),
@@ -495,11 +496,11 @@ impl KdTree {
             distances.resize(wanted, f64::INFINITY);
             indices.clear();
             indices.resize(wanted, u32::MAX);
-            self.search(space, scaled, stack, &mut Sorted { squares: distances, indices });
+            Arch::new().dispatch(Search { tree: self, space, query: scaled, stack, found: &mut Sorted { squares: distances, indices } });
         } else {
             found.clear();
             let mut pool = Pool { wanted, bound: f64::INFINITY, found };
-            self.search(space, scaled, stack, &mut pool);
+            Arch::new().dispatch(Search { tree: self, space, query: scaled, stack, found: &mut pool });
             pool.cut();
             found.sort_unstable_by(order);
             indices.clear();
@@ -527,7 +528,7 @@ impl KdTree {
         let radius = radius * self.scale;
         // a little more than the square, whose rounding must not lose a point: each is then compared by its distance
         let bound = radius * radius * (1.0 + 4.0 * f64::EPSILON) + f64::MIN_POSITIVE;
-        self.search(space, scaled, stack, &mut Ball { radius, bound, found });
+        Arch::new().dispatch(Search { tree: self, space, query: scaled, stack, found: &mut Ball { radius, bound, found } });
         found.sort_unstable_by(order);
         let unscale = 1.0 / self.scale;
         indices.clear();
@@ -562,8 +563,15 @@ impl KdTree {
         let query = &query[..dimension];
         stack.clear();
         let (mut node, mut first, mut last) = (0, 0, self.leaves);
+        // where many dimensions leave boxes nothing to tell, what is left is compared without asking them
+        let patience = if dimension > 8 { self.leaves / 8 } else { usize::MAX };
+        let mut visited = 0;
         loop {
-            if last - first > 1 {
+            if visited > patience {
+                for leaf in first..last {
+                    self.look_into(space, leaf, query, found);
+                }
+            } else if last - first > 1 {
                 let middle = first + (last - first) / 2;
                 let (left, right) = (node + 1, node + 2 * (middle - first));
                 let (to_left, to_right) = (self.box_distance(space, left, query), self.box_distance(space, right, query));
@@ -585,6 +593,7 @@ impl KdTree {
                 }
             } else {
                 self.look_into(space, first, query, found);
+                visited += 1;
             }
             loop {
                 match stack.pop() {
@@ -603,15 +612,19 @@ impl KdTree {
     fn look_into<S: Space, F: Found>(&self, space: S, leaf: usize, query: &[f64], found: &mut F) {
         let dimension = space.dimension();
         let block = &self.blocks[leaf * LANES * dimension..][..LANES * dimension];
+        let bound = found.bound();
         let mut squares = [0.0; LANES];
-        for (&number, row) in query[..dimension].iter().zip(block.chunks_exact(LANES)) {
+        for (axis, (&number, row)) in query[..dimension].iter().zip(block.chunks_exact(LANES)).enumerate() {
             for lane in 0..LANES {
                 let difference = row[lane] - number;
                 squares[lane] += difference * difference;
             }
+            // in many dimensions a few of them often tell
+            if dimension > 8 && axis % 8 == 7 && squares.iter().all(|&square| square > bound) {
+                return;
+            }
         }
         let slots = &self.slots[leaf * LANES..][..LANES];
-        let bound = found.bound();
         for lane in 0..LANES {
             if squares[lane] <= bound {
                 found.offer(squares[lane], slots[lane]);
@@ -666,6 +679,24 @@ fn spread(number: u64, step: usize) -> u64 {
         return number;
     }
     (0..32 / step + 1).map(|bit| (number >> bit & 1) << (bit * step)).sum()
+}
+
+/// A search compiled for the processor at hand.
+struct Search<'a, S, F> {
+    tree: &'a KdTree,
+    space: S,
+    query: &'a [f64],
+    stack: &'a mut Vec<Pending>,
+    found: &'a mut F,
+}
+
+impl<S: Space, F: Found> WithSimd for Search<'_, S, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<V: Simd>(self, _: V) {
+        self.tree.search(self.space, self.query, self.stack, self.found);
+    }
 }
 
 fn check_radius(radius: f64) -> Result<()> {
