@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from . import examples, shapes
 from ._core import num_threads, set_num_threads
+from .conformal import SphericalMapResult, spherical_map
 from .eigen import Eigenpairs, eigenpairs
 from .errors import (
     Cancelled,
@@ -51,6 +52,7 @@ __all__ = [
     "PoissonSolver",
     "RayHitsResult",
     "RotationInvariantSlicedWassersteinResult",
+    "SphericalMapResult",
     "TopologyError",
     "TriangleMesh",
     "__version__",
@@ -74,4 +76,5 @@ __all__ = [
     "shapes",
     "sliced_wasserstein",
     "solve_poisson",
+    "spherical_map",
 ]
