@@ -9,6 +9,7 @@
 //! | [`near`] | neighbours, closest points, rays |
 //! | [`operators`] | stiffness, mass, gradient, divergence |
 //! | [`solvers`] | sparse Cholesky and eigenpairs; they know matrices, never meshes |
+//! | [`geodesic`] | distance by the heat method |
 //! | [`view`] | pictures without a display |
 //!
 //! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
@@ -18,6 +19,7 @@
 
 pub mod control;
 pub mod error;
+pub mod geodesic;
 pub mod io;
 pub mod near;
 pub mod operators;

@@ -11,6 +11,7 @@ from .arrays import Floats as Floats
 from .arrays import Ints as Ints
 
 CsrParts = tuple[Floats, npt.NDArray[np.integer], npt.NDArray[np.integer]]
+
 # io
 def load_file(
     path: str, format: str | None, weld: bool | None, progress: Callable[[float], object] | None
@@ -31,6 +32,7 @@ def triangulate(vertices: Floats, sizes: npt.NDArray[np.int64], corners: Ints) -
 def weld(
     vertices: Floats, faces: Ints, data: list[tuple[str, npt.NDArray[Any]]]
 ) -> tuple[Floats, Ints, list[tuple[str, npt.NDArray[Any]]]]: ...
+
 SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
 
 # local_mesh
@@ -75,6 +77,30 @@ def eigenpairs(
     start: Floats | None,
     progress: Callable[[float], object] | None,
 ) -> tuple[Floats, Floats, Floats, int]: ...
+
+# geodesic
+@final
+class HeatMethod:
+    def __new__(
+        cls,
+        stiffness: CsrArrays,
+        mass: Floats,
+        gradient: CsrArrays,
+        areas: Floats,
+        spacing: float,
+        boundary: npt.NDArray[np.bool_],
+        coordinates: Floats,
+        time_factor: float,
+        progress: Callable[[float], object] | None,
+    ) -> HeatMethod: ...
+    def distance(self, sources: npt.NDArray[np.int64]) -> Floats: ...
+
+@final
+class LaplacianSolver:
+    def __new__(
+        cls, stiffness: CsrArrays, mass: Floats, coordinates: Floats, progress: Callable[[float], object] | None
+    ) -> LaplacianSolver: ...
+    def solve(self, b: Floats, tolerance: float | None) -> Floats: ...
 
 # near
 def closest_points(
@@ -142,6 +168,7 @@ class Cholesky:
     def unknowns(self) -> int: ...
     def nnz(self) -> int: ...
     def log_determinant(self) -> float: ...
+
 # sliced
 def sliced_distance(
     source: Floats,

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from . import arrays
+from . import _core, arrays
 from .arrays import Floats
-from .errors import InputError
 from .operators import Operators, operators
-from .progress import Progress, part, reporter
+from .progress import Progress, reporter
 from .shapes import Shape
-from .solvers import Cholesky, PoissonSolver, plus_diagonal
 
 __all__ = ["HeatMethod", "geodesic_distance"]
-
-_FADED = 1e-250  # heat below this has lost digits to underflow: a longer time shows the direction there
-_LONGER = 64.0  # factor between one time and the next
 
 
 class HeatMethod:
@@ -26,7 +19,8 @@ class HeatMethod:
     Heat spreads for a short time from the sources, its normalized gradient is that of the distance, and a Poisson equation
     recovers the distance from it (Crane, Weischedel and Wardetzky 2013):
 
-    1. ``(M + t L) u = δ``, 2. ``X = -grad u / |grad u|``, 3. ``L φ = -M div X``.
+    1. ``(M + t L) u = δ``, 2. ``X = -grad u / |grad u|``, 3. ``L φ = -M div X``. On shapes with boundary u is the sum
+    of the flows with natural and with zero boundary values.
 
     Parameters
     ----------
@@ -42,16 +36,22 @@ class HeatMethod:
     """
 
     def __init__(self, shape: Shape | Operators, *, time_factor: float = 1.0, progress: Progress = None) -> None:
-        report = reporter(progress, "heat method")
-        self.operators = operators(shape)
-        self.time = arrays.number(time_factor, "time_factor", above=0.0) * self.operators.spacing**2
-        self._heat = [self._factor(self.time, part(report, 0.0, 0.5))]
-        self._poisson = PoissonSolver(self.operators, progress=part(report, 0.5, 1.0))
+        ops = self.operators = operators(shape)
+        self.time_factor = arrays.number(time_factor, "time_factor", above=0.0)
+        self._core = _core.HeatMethod(
+            arrays.csr_in(ops.stiffness, "the stiffness"),
+            ops.mass,
+            arrays.csr_in(ops.simplex_gradient, "the gradient"),
+            ops.simplex_areas,
+            ops.spacing,
+            ops.boundary,
+            ops.coordinates,
+            self.time_factor,
+            reporter(progress, "heat method"),
+        )
 
-    def _factor(self, time: float, report: Any) -> Cholesky:
-        ops = self.operators
-        diagonal = np.where(ops.mass > 0, ops.mass, 1.0)  # vertices of no triangle stay apart
-        return Cholesky(plus_diagonal(time * ops.stiffness, diagonal), ops.coordinates, progress=report)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _remake, (self.operators, self.time_factor)
 
     def distance(self, sources: Any) -> Floats:
         """Distance to the nearest source.
@@ -71,43 +71,11 @@ class HeatMethod:
         InputError
             No source, or one that is no vertex.
         """
-        ops = self.operators
-        n = len(ops.mass)
-        chosen = arrays.indices(sources, "sources", n)
-        labels = ops.component_labels
-        reached = np.isin(labels, labels[chosen])
-        field = self._directions(chosen, reached)
-        flux = ops.simplex_gradient.T @ (field * ops.simplex_areas[:, None]).ravel()
-        distance = self._poisson.solve_integrated(flux)
-        # The Poisson equation leaves a constant free on each component: the distance is 0 at its sources, on the average.
-        offset = np.zeros(int(labels.max()) + 1)
-        np.add.at(offset, labels[chosen], distance[chosen])
-        offset /= np.maximum(np.bincount(labels[chosen], minlength=len(offset)), 1)
-        distance = np.maximum(distance - offset[labels], 0.0)
-        distance[chosen] = 0.0
-        distance[~reached] = np.inf
-        return distance
+        return self._core.distance(arrays.indices(sources, "sources", len(self.operators.mass)))
 
-    def _directions(self, chosen: Any, reached: Any) -> Floats:
-        """The unit field -grad u / |grad u|, one row an element."""
-        ops = self.operators
-        impulse = np.zeros(len(ops.mass))
-        impulse[chosen] = 1.0
-        count = len(ops.simplex_areas)
-        field, unknown = np.zeros((count, ops.simplex_gradient.shape[0] // count)), np.ones(count, bool)
-        for step in range(12):
-            if step == len(self._heat):
-                self._heat.append(self._factor(self.time * _LONGER**step, None))
-            heat = self._heat[step].solve(impulse)
-            slope = (ops.simplex_gradient @ heat).reshape(field.shape)
-            largest = np.abs(slope).max(axis=1)
-            usable = unknown & (largest * ops.spacing > _FADED)
-            direction = slope[usable] / largest[usable, None]
-            field[usable] = -direction / np.linalg.norm(direction, axis=1, keepdims=True)
-            unknown &= ~usable
-            if not (reached & (np.abs(heat) <= _FADED) & (ops.mass > 0)).any():
-                break
-        return field
+
+def _remake(ops: Operators, time_factor: float) -> HeatMethod:
+    return HeatMethod(ops, time_factor=time_factor)
 
 
 def geodesic_distance(shape: Shape | Operators, sources: Any, *, time_factor: float = 1.0, progress: Progress = None) -> Floats:
@@ -148,6 +116,4 @@ def geodesic_distance(shape: Shape | Operators, sources: Any, *, time_factor: fl
     """
     ops = operators(shape)
     chosen = arrays.indices(sources, "sources", len(ops.mass))
-    if not ops.spacing > 0:
-        raise InputError("all vertices lie in one point; there are no distances")
     return HeatMethod(ops, time_factor=time_factor, progress=progress).distance(chosen)

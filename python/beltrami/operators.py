@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sparse
 
 from . import _core, arrays
@@ -90,6 +91,15 @@ class Operators(ABC):
     def simplex_areas(self) -> Floats:
         """Weights of the simplices of ``simplex_gradient``; they add up to the mass."""
         return self.element_areas
+
+    @cached_property
+    def boundary(self) -> npt.NDArray[np.bool_]:
+        """(n,): which vertices lie on the boundary."""
+        mask = np.zeros(len(self.mass), bool)
+        if isinstance(self.shape, TriangleMesh):
+            for curve in self.shape.boundary_loop_vertices:
+                mask[curve] = True
+        return mask
 
     @cached_property
     def component_labels(self) -> Ints:

@@ -15,7 +15,7 @@ from .operators import Operators, operators
 from .progress import Progress, reporter
 from .shapes import Shape
 
-__all__ = ["Cholesky", "PoissonSolver", "plus_diagonal", "solve_poisson"]
+__all__ = ["Cholesky", "PoissonSolver", "solve_poisson"]
 
 
 class Cholesky:
@@ -169,16 +169,14 @@ class Cholesky:
         return floats(array, name, (self._n, None), finite=False), False
 
 
-def plus_diagonal(matrix: sparse.csr_array, diagonal: Floats) -> sparse.csr_array:
-    """``matrix + diag(diagonal)``."""
-    return sparse.csr_array(matrix + sparse.diags_array(diagonal))
+_COMPATIBLE = 1e-9  # share of its size that the sum of a strict right-hand side may have
 
 
 class PoissonSolver:
     """Solves ``L u = b`` on one shape, whose stiffness L is singular: one constant a connected component.
 
-    One vertex of each component is held by a spring. As long as the right-hand side sums to zero on the component the spring
-    carries nothing, so the answer is exact.
+    The right-hand side is made compatible, one unknown of each component is grounded, and of all solutions the one with zero mean
+    is handed out.
 
     Parameters
     ----------
@@ -197,11 +195,11 @@ class PoissonSolver:
 
     def __init__(self, shape: Shape | Operators, *, progress: Progress = None) -> None:
         ops = self.operators = operators(shape)
-        _, held = np.unique(ops.component_labels, return_index=True)
-        spring = np.zeros(len(ops.mass))
-        strength = ops.stiffness.diagonal()[held]
-        spring[held] = np.where(strength > 0, strength, 1.0)
-        self._factor = Cholesky(plus_diagonal(ops.stiffness, spring), ops.coordinates, progress=progress)
+        stiffness = csr_in(ops.stiffness, "the stiffness")
+        self._core = _core.LaplacianSolver(stiffness, ops.mass, ops.coordinates, reporter(progress, "Poisson"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PoissonSolver, (self.operators,)
 
     def solve(self, f: npt.ArrayLike, *, strict: bool = False) -> Floats:
         """``L u = M f``, that is ``-Δu = f``, with zero mean on each component.
@@ -224,35 +222,14 @@ class PoissonSolver:
         """
         values = np.asarray(f)
         values = floats(values, "f", (len(self.operators.mass),) if values.ndim == 1 else (len(self.operators.mass), None))
-        mass = self.operators.mass if values.ndim == 1 else self.operators.mass[:, None]
-        right = mass * values
-        if strict:
-            sums, sizes = self._sums(right), self._sums(np.abs(right))
-            wrong = np.abs(sums) > 1e-9 * sizes
-            if wrong.any():
-                where = tuple(np.argwhere(wrong)[0])
-                raise InputError(
-                    f"f has the integral {sums[where]:.3g} on component {where[0]}; it must be 0 for a solution: "
-                    "subtract its mean, or leave strict= out"
-                )
-        return self.solve_integrated(right)
+        table = values.reshape(len(values), -1) * self.operators.mass[:, None]
+        return self._core.solve(table, _COMPATIBLE if strict else None).reshape(values.shape)
 
-    def solve_integrated(self, b: Floats) -> Floats:
+    def solve_integrated(self, b: npt.ArrayLike) -> Floats:
         """``L u = b`` for a right-hand side that is integrated already, (n,) or (n, k); zero mean on each component."""
-        ops = self.operators
-        labels, masses = ops.component_labels, ops.component_masses
-        shares = np.divide(ops.mass, masses[labels], out=np.zeros_like(ops.mass), where=masses[labels] > 0)
-        if b.ndim == 2:
-            shares = shares[:, None]
-        right = b - shares * self._sums(b)[labels]
-        u = self._factor.solve(right)
-        return u - self._sums(shares * u)[labels]
-
-    def _sums(self, values: Floats) -> Floats:
-        labels = self.operators.component_labels
-        if values.ndim == 1:
-            return np.bincount(labels, weights=values).astype(np.float64)
-        return np.stack([np.bincount(labels, weights=column) for column in values.T], axis=1)
+        values = np.asarray(b)
+        values = floats(values, "b", (len(self.operators.mass),) if values.ndim == 1 else (len(self.operators.mass), None))
+        return self._core.solve(values.reshape(len(values), -1), None).reshape(values.shape)
 
 
 def solve_poisson(shape: Shape | Operators, f: npt.ArrayLike, *, strict: bool = False, progress: Progress = None) -> Floats:

@@ -30,8 +30,8 @@ struct Element {
 /// A triangle counts as degenerate when twice its area is below this share of its longest squared edge: then rounding
 /// alone decides its angles.
 const DEGENERATE: f64 = 4.0 * f64::EPSILON;
-/// Squared edges beyond these bounds over- or underflow in what is computed from them.
-const SCALE: std::ops::Range<f64> = 1e-280..1e280;
+/// Squared edges beyond these bounds over- or underflow in the squared area.
+const SCALE: std::ops::Range<f64> = 1e-140..1e150;
 
 fn element(mesh: &TriangleMesh, face: usize) -> Result<Element> {
     let [a, b, c] = mesh.faces()[face].map(|corner| mesh.vertex(corner));

@@ -27,10 +27,10 @@ pub struct LaplacianSolver {
 }
 
 impl LaplacianSolver {
-    /// Factors a stiffness matrix; `mass` has a positive number for each row, `coordinates` as in [`Cholesky::new`].
+    /// Factors a stiffness matrix; `mass` has a number for each row that is not negative, `coordinates` as in [`Cholesky::new`].
     ///
     /// # Errors
-    /// [`Error::Input`] if the mass is not positive, sizes do not fit, or a row does not add up to zero; [`Error::Numerical`] if the
+    /// [`Error::Input`] if a mass is negative, sizes do not fit, or a row does not add up to zero; [`Error::Numerical`] if the
     /// matrix is not positive semidefinite; [`Error::Cancelled`] on request.
     pub fn new(stiffness: &Csr, mass: &[f64], coordinates: Option<(&[f64], usize)>, control: &Control) -> Result<Self> {
         let n = stiffness.rows();
@@ -41,8 +41,8 @@ impl LaplacianSolver {
                 mass.len()
             )));
         }
-        if let Some(row) = mass.iter().position(|mass| !(*mass > 0.0 && mass.is_finite())) {
-            return Err(Error::input(format!("the mass of row {row} is {}; masses must be positive and finite", mass[row])));
+        if let Some(row) = mass.iter().position(|mass| !(*mass >= 0.0 && mass.is_finite())) {
+            return Err(Error::input(format!("the mass of row {row} is {}; masses must be finite and not negative", mass[row])));
         }
         for row in 0..n {
             let values = stiffness.row(row).1;
@@ -126,7 +126,8 @@ impl LaplacianSolver {
     /// Takes `sums / total mass`, times a weight, off each row.
     fn take(&self, numbers: &mut [f64], width: usize, sums: &[f64], weight: impl Fn(f64) -> f64) {
         for ((row, &label), &mass) in numbers.chunks_exact_mut(width).zip(&self.labels).zip(&self.mass) {
-            let factor = weight(mass) / self.totals[label as usize];
+            let total = self.totals[label as usize];
+            let factor = if total > 0.0 { weight(mass) / total } else { 0.0 };
             let sums = &sums[label as usize * width..][..width];
             row.iter_mut().zip(sums).for_each(|(number, sum)| *number -= factor * sum);
         }

@@ -4,6 +4,7 @@ mod cholesky;
 mod convert;
 mod eigen;
 mod error;
+mod geodesic;
 mod intrinsic;
 mod io;
 mod local_mesh;
@@ -25,6 +26,8 @@ mod _core {
     use super::cholesky::Cholesky;
     #[pymodule_export]
     use super::eigen::eigenpairs;
+    #[pymodule_export]
+    use super::geodesic::{HeatMethod, LaplacianSolver};
     #[pymodule_export]
     use super::intrinsic::{intrinsic_divergence, intrinsic_gradient, intrinsic_operators, thinnest_face};
     #[pymodule_export]

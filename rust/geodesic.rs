@@ -1,0 +1,231 @@
+//! Geodesic distance by the heat method (Crane, Weischedel, Wardetzky: Geodesics in heat, ACM TOG 32, 2013).
+//!
+//! 1. heat flows from the sources for a short time, `(M + t L) u = δ`; 2. `X = -grad u / |grad u|` on each simplex;
+//! 3. a Poisson equation recovers the distance, `L φ = G^T A X`. On shapes with boundary u is the sum of the flows with
+//!    natural and with zero boundary values, which follows the boundary less than either.
+
+use crate::control::Control;
+use crate::error::{Error, Result};
+use crate::operators::{cotangent_operators, gradient};
+use crate::shape::{Topology, TriangleMesh};
+use crate::solvers::{Cholesky, LaplacianSolver};
+use crate::sparse::{CHUNK, Csr};
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Heat below this has lost digits to underflow; a longer time shows the direction there.
+const FADED: f64 = 1e-250;
+/// Between one time and the next longer one.
+const LONGER: f64 = 64.0;
+const TIMES: usize = 12;
+
+/// What the heat method needs of a shape.
+#[derive(Debug, Clone)]
+pub struct HeatOperators {
+    /// (n, n), positive semidefinite, rows sum to zero.
+    pub stiffness: Csr,
+    /// (n), not negative.
+    pub mass: Vec<f64>,
+    /// G, (m k, n): k coordinates of the gradient on each of m simplices.
+    pub gradient: Csr,
+    /// (m), areas (volumes) of the simplices.
+    pub areas: Vec<f64>,
+    /// Mean length of the edges; the time is its square times a factor.
+    pub spacing: f64,
+    /// Which vertices lie on the boundary, (n).
+    pub boundary: Vec<bool>,
+    /// Positions of the vertices and how many numbers each has: a better order for the factorizations.
+    pub coordinates: Option<(Vec<f64>, usize)>,
+}
+
+#[derive(Debug)]
+struct Heat {
+    natural: Cholesky,
+    zero: Option<Cholesky>,
+}
+
+/// Distances on one shape from as many sets of sources as one likes: the factorizations are kept.
+///
+/// ```
+/// use beltrami::{Control, geodesic::HeatMethod, shape::make};
+/// let sphere = make::sphere(16, 1.0)?;
+/// let heat = HeatMethod::on_mesh(&sphere, 1.0, &Control::default())?;
+/// let distance = heat.distance(&[0], &Control::default())?;
+/// let farthest = distance.iter().fold(0.0, |a: f64, &b| a.max(b));
+/// assert!((farthest - std::f64::consts::PI).abs() < 0.1);
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct HeatMethod {
+    shape: HeatOperators,
+    transposed: Csr,
+    time: f64,
+    heats: Mutex<Vec<Arc<Heat>>>,
+    poisson: LaplacianSolver,
+}
+
+impl HeatMethod {
+    /// Factors what the method needs. `time_factor`: the time in units of the squared spacing; larger smooths.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if sizes do not fit or the time is not positive; [`Error::Numerical`] if a matrix is not positive
+    /// definite; [`Error::Cancelled`] on request.
+    pub fn new(shape: HeatOperators, time_factor: f64, control: &Control) -> Result<Self> {
+        let (n, m) = (shape.stiffness.rows(), shape.areas.len());
+        if shape.mass.len() != n || shape.boundary.len() != n || shape.gradient.columns() != n || m == 0 || shape.gradient.rows() % m != 0 {
+            return Err(Error::input(format!(
+                "operators do not fit together: {n} rows of the stiffness, {} masses, {} boundary flags, a {} x {} gradient on {m} simplices",
+                shape.mass.len(),
+                shape.boundary.len(),
+                shape.gradient.rows(),
+                shape.gradient.columns()
+            )));
+        }
+        let time = time_factor * shape.spacing * shape.spacing;
+        if !(time > 0.0 && time.is_finite()) {
+            return Err(Error::input(format!(
+                "the time of the heat flow is {time:e} (factor {time_factor:e}, spacing {:e}); it must be positive and finite",
+                shape.spacing
+            )));
+        }
+        let coordinates = shape.coordinates.as_ref().map(|(numbers, width)| (numbers.as_slice(), *width));
+        let poisson = LaplacianSolver::new(&shape.stiffness, &shape.mass, coordinates, control)?;
+        let transposed = shape.gradient.transpose();
+        let method = HeatMethod { shape, transposed, time, heats: Mutex::new(Vec::new()), poisson };
+        method.heat(0, control)?;
+        Ok(method)
+    }
+
+    /// The method on a mesh, with its cotangent operators.
+    ///
+    /// # Errors
+    /// Those of [`HeatMethod::new`] and of [`cotangent_operators`].
+    pub fn on_mesh(mesh: &TriangleMesh, time_factor: f64, control: &Control) -> Result<Self> {
+        let operators = cotangent_operators(mesh)?;
+        let mut boundary = vec![false; mesh.vertex_count()];
+        for curve in Topology::new(mesh)?.boundary_loops() {
+            curve.vertices.iter().for_each(|&vertex| boundary[vertex as usize] = true);
+        }
+        let shape = HeatOperators {
+            gradient: gradient(mesh)?,
+            areas: mesh.face_areas(),
+            coordinates: Some((mesh.vertices().to_vec(), mesh.dimension())),
+            stiffness: operators.stiffness,
+            mass: operators.mass,
+            spacing: operators.spacing,
+            boundary,
+        };
+        HeatMethod::new(shape, time_factor, control)
+    }
+
+    /// The time of the heat flow.
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+
+    fn heat(&self, step: usize, control: &Control) -> Result<Arc<Heat>> {
+        let mut heats = self.heats.lock().unwrap_or_else(PoisonError::into_inner);
+        while heats.len() <= step {
+            let time = self.time * LONGER.powi(heats.len() as i32);
+            // Vertices of no triangle have no mass: a 1 keeps them apart and the matrix definite.
+            let diagonal: Vec<f64> = self.shape.mass.iter().map(|&mass| if mass > 0.0 { mass } else { 1.0 }).collect();
+            let matrix = self.shape.stiffness.combine(time, &Csr::from_diagonal(&diagonal), 1.0)?;
+            let coordinates = self.shape.coordinates.as_ref().map(|(numbers, width)| (numbers.as_slice(), *width));
+            let natural = Cholesky::new(&matrix, coordinates, control)?;
+            let boundary = &self.shape.boundary;
+            let zero = if boundary.contains(&true) {
+                let values = (0..matrix.rows())
+                    .flat_map(|row| {
+                        let (columns, values) = matrix.row(row);
+                        columns.iter().zip(values).map(move |(&column, &value)| {
+                            let cut = column as usize != row && (boundary[row] || boundary[column as usize]);
+                            if cut { 0.0 } else { value }
+                        })
+                    })
+                    .collect();
+                let matrix = Csr::new(matrix.rows(), matrix.columns(), matrix.starts().to_vec(), matrix.indices().to_vec(), values)?;
+                Some(Cholesky::with_symbolic(&natural.symbolic(), &matrix, control)?)
+            } else {
+                None
+            };
+            heats.push(Arc::new(Heat { natural, zero }));
+        }
+        Ok(heats[step].clone())
+    }
+
+    /// Distance to the nearest source; 0 at the sources, infinite on components without one.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if there is no source or one is no vertex; [`Error::Cancelled`] on request.
+    pub fn distance(&self, sources: &[usize], control: &Control) -> Result<Vec<f64>> {
+        let n = self.shape.mass.len();
+        if sources.is_empty() {
+            return Err(Error::input("there is no source; name at least one vertex"));
+        }
+        if let Some(wrong) = sources.iter().find(|&&source| source >= n) {
+            return Err(Error::input(format!("source {wrong} is no vertex; the shape has {n}, numbered from 0")));
+        }
+        let labels = self.poisson.labels();
+        // The Poisson equation leaves a constant free on each component: there the distance is 0 at its sources, on the average.
+        let mut sums = vec![(0.0, 0usize); self.poisson.components()];
+        sources.iter().for_each(|&source| sums[labels[source] as usize].1 += 1);
+        let reached: Vec<bool> = labels.iter().map(|&label| sums[label as usize].1 > 0).collect();
+        let flux = self.flux(sources, &reached, control)?;
+        let mut distance = self.poisson.solve(&flux, 1)?;
+        sources.iter().for_each(|&source| sums[labels[source] as usize].0 += distance[source]);
+        for ((distance, &label), &reached) in distance.iter_mut().zip(labels).zip(&reached) {
+            let (sum, count) = sums[label as usize];
+            *distance = if reached { (*distance - sum / count as f64).max(0.0) } else { f64::INFINITY };
+        }
+        sources.iter().for_each(|&source| distance[source] = 0.0);
+        if distance.iter().any(|number| number.is_nan()) {
+            return Err(Error::numerical("the distances overflow; rescale the shape"));
+        }
+        Ok(distance)
+    }
+
+    /// G^T A X of the unit field X = -grad u / |grad u|.
+    fn flux(&self, sources: &[usize], reached: &[bool], control: &Control) -> Result<Vec<f64>> {
+        let (n, m) = (self.shape.mass.len(), self.shape.areas.len());
+        let width = self.shape.gradient.rows() / m;
+        let mut impulse = vec![0.0; n];
+        sources.iter().for_each(|&source| impulse[source] = 1.0);
+        let inner: Vec<f64> =
+            impulse.iter().zip(&self.shape.boundary).map(|(&heat, &boundary)| if boundary { 0.0 } else { heat }).collect();
+        let mut field = vec![0.0; m * width];
+        let mut known = vec![false; m];
+        for step in 0..TIMES {
+            control.check()?;
+            let factors = self.heat(step, control)?;
+            let mut heat = factors.natural.solve(&impulse)?;
+            if let Some(zero) = &factors.zero {
+                heat.iter_mut().zip(zero.solve(&inner)?).for_each(|(heat, more)| *heat += more);
+            }
+            let slope = self.shape.gradient.multiply(&heat)?;
+            let spacing = self.shape.spacing;
+            field
+                .par_chunks_mut(CHUNK * width)
+                .zip(known.par_chunks_mut(CHUNK))
+                .zip(slope.par_chunks(CHUNK * width).zip(self.shape.areas.par_chunks(CHUNK)))
+                .for_each(|((field, known), (slope, areas))| {
+                    for (((field, known), slope), &area) in
+                        field.chunks_exact_mut(width).zip(known).zip(slope.chunks_exact(width)).zip(areas)
+                    {
+                        let largest = slope.iter().fold(0.0, |a: f64, &b| a.max(b.abs()));
+                        if *known || largest * spacing <= FADED {
+                            continue;
+                        }
+                        let norm = slope.iter().map(|s| (s / largest) * (s / largest)).sum::<f64>().sqrt();
+                        field.iter_mut().zip(slope).for_each(|(x, s)| *x = -area * (s / largest) / norm);
+                        *known = true;
+                    }
+                });
+            let faded =
+                (0..n).into_par_iter().with_min_len(CHUNK).any(|i| reached[i] && self.shape.mass[i] > 0.0 && heat[i].abs() <= FADED);
+            if !faded {
+                break;
+            }
+        }
+        self.transposed.multiply(&field)
+    }
+}
