@@ -14,8 +14,8 @@ use rayon::prelude::*;
 use std::collections::BinaryHeap;
 
 const LEAF: usize = 120; // unknowns that minimum degree orders at once
-const SAMPLE: usize = 2500; // unknowns on which a cut is scored
-const FEW: usize = 200; // unknowns whose places tell where the middle is
+const SAMPLE: usize = 1500; // unknowns on which a cut is scored
+const FEW: usize = 96; // unknowns whose places tell where the middle is
 const BINS: usize = 24; // places of a cut along one direction
 const HALO: usize = 512; // unknowns around a leaf that are counted
 const SMALL: usize = 3000; // below this, the order without coordinates is approximate minimum degree
@@ -493,7 +493,7 @@ fn directions(graph: &Graph, sample: &[usize]) -> Vec<[f64; 3]> {
     all.sort_by(|a, b| extent(b).total_cmp(&extent(a)));
     let most = extent(&all[0]);
     all.retain(|d| extent(d) > 0.15 * most);
-    all.truncate(6);
+    all.truncate(if graph.len() < 2000 { 4 } else { 6 });
     all
 }
 
