@@ -73,7 +73,7 @@ pub(crate) fn order(starts: &[usize], indices: &[u32], coordinates: Option<(&[f6
         names: (0..n as u32).collect(),
         points: whole.points.clone(),
     };
-    dissect(top, &whole, &mut order, control)?;
+    dissect(top, &whole, coordinates.is_none(), &mut order, control)?;
     order.par_iter_mut().with_min_len(CHUNK).for_each(|name| *name = whole.names[*name as usize]);
     Ok(order)
 }
@@ -288,7 +288,7 @@ fn sorted_in_space(starts: &[usize], indices: &[u32], points: &[[f64; 3]]) -> Gr
 }
 
 /// Orders `graph` into `out`: one half, the other half, their separator.
-fn dissect(graph: Graph, whole: &Graph, out: &mut [u32], control: &Control) -> Result<()> {
+fn dissect(graph: Graph, whole: &Graph, guessed: bool, out: &mut [u32], control: &Control) -> Result<()> {
     let count = graph.len();
     if count <= LEAF {
         leaf(&graph, whole, out);
@@ -297,7 +297,9 @@ fn dissect(graph: Graph, whole: &Graph, out: &mut [u32], control: &Control) -> R
     if count > 1000 {
         control.check()?;
     }
-    let Some(side) = cut(&graph) else {
+    // Distances in a graph without geometry cut badly: there minimum degree is better.
+    let widest = if guessed { 2.5 * (count as f64).powf(2.0 / 3.0) } else { f64::INFINITY };
+    let Some(side) = cut(&graph, widest) else {
         let mut graph = graph;
         for vertex in 0..count {
             graph.neighbors[graph.starts[vertex]..graph.starts[vertex + 1]].sort_unstable();
@@ -315,13 +317,14 @@ fn dissect(graph: Graph, whole: &Graph, out: &mut [u32], control: &Control) -> R
     if count > 2000 {
         let (left, right) = rayon::join(|| part(&graph, &side, 0, left), || part(&graph, &side, 1, right));
         drop((graph, side));
-        let (left, right) = rayon::join(|| dissect(left, whole, first, control), || dissect(right, whole, second, control));
+        let (left, right) =
+            rayon::join(|| dissect(left, whole, guessed, first, control), || dissect(right, whole, guessed, second, control));
         left.and(right)
     } else {
         let (left, right) = (part(&graph, &side, 0, left), part(&graph, &side, 1, right));
         drop((graph, side));
-        dissect(left, whole, first, control)?;
-        dissect(right, whole, second, control)
+        dissect(left, whole, guessed, first, control)?;
+        dissect(right, whole, guessed, second, control)
     }
 }
 
@@ -372,8 +375,7 @@ impl Planes {
 }
 
 /// Two sides (0, 1) and the separator (2); None where no plane leaves two sides worth having.
-#[inline(never)]
-fn cut(graph: &Graph) -> Option<Vec<u8>> {
+fn cut(graph: &Graph, widest: f64) -> Option<Vec<u8>> {
     let count = graph.len();
     let stride = count.div_ceil(SAMPLE);
     let sample: Vec<usize> = (0..count).step_by(stride).collect();
@@ -444,7 +446,7 @@ fn cut(graph: &Graph) -> Option<Vec<u8>> {
     edge.iter().for_each(|&vertex| side[vertex] = 2);
     refine(graph, &mut side, edge);
     let counts = tally(&side);
-    (counts[0].min(counts[1]) * 8 >= count && counts[2] * 3 <= count).then_some(side)
+    (counts[0].min(counts[1]) * 8 >= count && counts[2] * 3 <= count && counts[2] as f64 <= widest).then_some(side)
 }
 
 /// How many are on each side, and between.
@@ -455,7 +457,6 @@ fn tally(side: &[u8]) -> [usize; 3] {
 }
 
 /// Directions to try: the axes and the diagonals between them, without those along which there is little to cut.
-#[inline(never)]
 fn directions(graph: &Graph, sample: &[usize]) -> Vec<[f64; 3]> {
     let mut mean = [0.0; 3];
     for &vertex in sample {
@@ -498,7 +499,6 @@ fn directions(graph: &Graph, sample: &[usize]) -> Vec<[f64; 3]> {
 }
 
 /// Moves unknowns out of the separator as long as it shrinks, over small hills too; both sides stay near half.
-#[inline(never)]
 fn refine(graph: &Graph, side: &mut [u8], mut separator: Vec<usize>) {
     let count = graph.len();
     let most = count * 11 / 20;
@@ -585,7 +585,6 @@ fn refine(graph: &Graph, side: &mut [u8], mut separator: Vec<usize>) {
 }
 
 /// Exact minimum degree of a small set; unknowns around it count as neighbours that stay.
-#[inline(never)]
 fn leaf(graph: &Graph, whole: &Graph, out: &mut [u32]) {
     let count = graph.len();
     let mut around: Vec<u32> = Vec::new();
