@@ -115,9 +115,16 @@ def table(name: str | Sequence[Any] | npt.NDArray[Any], count: int = 256) -> Col
 
 
 def categories(count: int) -> Colours:
-    """(count, 3) colours that are easy to tell apart: twelve, then hues at the golden angle with changing lightness."""
-    first = np.array([_hex(c) for c in _CATEGORIES.split()])
-    if count <= len(first):
-        return first[:count]
-    more = np.arange(count - len(first))
-    return np.concatenate([first, _oklab(np.array([0.60, 0.76, 0.48])[more % 3], 0.115, 0.7 + 2.399963 * more)])
+    """(count, 3) colours that are easy to tell apart: twelve chosen by eye, then always the one farthest from all before."""
+    chosen = [np.array(_hex(c)) for c in _CATEGORIES.split()]
+    if count > len(chosen):
+        light, chroma, hue = np.meshgrid(
+            [0.45, 0.55, 0.65, 0.75, 0.85], [0.06, 0.10, 0.14], np.arange(0, 2 * np.pi, np.pi / 30), indexing="ij"
+        )
+        candidates = _oklab(light.ravel(), chroma.ravel(), hue.ravel())
+        nearest = np.linalg.norm(candidates[:, None] - np.array(chosen), axis=2).min(axis=1)
+        while len(chosen) < count:
+            best = int(np.argmax(nearest))
+            chosen.append(candidates[best])
+            nearest = np.minimum(nearest, np.linalg.norm(candidates - candidates[best], axis=1))
+    return np.array(chosen[:count])

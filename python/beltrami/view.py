@@ -676,7 +676,7 @@ def plot(
     canvas.pixels[:] = np.round(255 * np.array(behind)).astype(np.uint8)
 
     # Room for words: the unit is the size of ordinary text.
-    size_ = max(9.0, 0.0205 * math.sqrt(width * height))
+    size_ = max(min(9.0, 0.06 * min(width, height)), 0.0205 * math.sqrt(width * height))
     pad = 0.9 * size_
     top, bottom, left, right = pad, pad, pad, pad
     if title:

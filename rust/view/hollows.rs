@@ -13,10 +13,9 @@ fn noise(x: usize, y: usize) -> f32 {
     (52.982_918 * (0.067_110_56 * x as f32 + 0.005_837_15 * y as f32).fract()).fract()
 }
 
-/// Light that reaches each pixel, 0 to 1.
-pub(super) fn openness(pixels: &[Pixel], width: usize, height: usize, scale: f64, reach: f64, control: &Control) -> Result<Vec<f32>> {
-    let reach_pixels = ((reach * scale) as f32).clamp(2.0, 0.25 * width.max(height) as f32 + 2.0);
-    let (reach, length) = (reach_pixels / scale as f32, 1.0 / scale as f32);
+/// Light that reaches each pixel, 0 to 1; `reach` in pixels.
+pub(super) fn openness(pixels: &[Pixel], width: usize, height: usize, reach: f64, control: &Control) -> Result<Vec<f32>> {
+    let reach = (reach as f32).clamp(2.0, 0.25 * width.max(height) as f32 + 2.0);
     let golden = 2.399_963_2_f32;
     let mut open = vec![1.0f32; width * height];
     open.par_chunks_mut(width).enumerate().try_for_each(|(y, row)| {
@@ -29,7 +28,7 @@ pub(super) fn openness(pixels: &[Pixel], width: usize, height: usize, scale: f64
             let turn = noise(x, y);
             let mut hidden = 0.0;
             for tap in 0..TAPS {
-                let radius = reach_pixels * ((tap as f32 + 0.3 + 0.7 * turn) / TAPS as f32).powf(1.4) + 0.8;
+                let radius = reach * ((tap as f32 + 0.3 + 0.7 * turn) / TAPS as f32).powf(1.4) + 0.8;
                 let (sine, cosine) = (golden * tap as f32 + std::f32::consts::TAU * turn).sin_cos();
                 let (dx, dy) = ((radius * cosine).round(), (radius * sine).round());
                 let (column, line) = (x as f32 + dx, y as f32 - dy);
@@ -40,7 +39,7 @@ pub(super) fn openness(pixels: &[Pixel], width: usize, height: usize, scale: f64
                 if other == f32::NEG_INFINITY {
                     continue;
                 }
-                let way = [dx * length, dy * length, other - pixel.near];
+                let way = [dx, dy, other - pixel.near];
                 let far = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt();
                 let rise = (way[0] * pixel.normal[0] + way[1] * pixel.normal[1] + way[2] * pixel.normal[2]) / far;
                 let fade = 1.0 - (way[2].abs() / (1.5 * reach)).min(1.0);

@@ -39,8 +39,8 @@ pub struct Camera {
     pub distance: f64,
 }
 
-/// A point on the screen: x and y in pixels, nearness (linear across a triangle on the screen, larger is nearer), and the
-/// factor by which things look larger there than at the camera's centre.
+/// A point on the screen: x and y in pixels, nearness (in pixels, linear across a triangle on the screen, larger is nearer), and
+/// the factor by which things look larger there than at the camera's centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Projected {
     pub x: f64,
@@ -58,7 +58,12 @@ impl Camera {
         let q = self.turn([p[0] - self.centre[0], p[1] - self.centre[1], p[2] - self.centre[2]]);
         // Whatever is behind the eye is flattened onto a plane just before it: callers keep shapes in front.
         let zoom = 1.0 / (1.0 - q[2] / self.distance).max(1e-3);
-        Projected { x: self.middle[0] + self.scale * q[0] * zoom, y: self.middle[1] - self.scale * q[1] * zoom, near: q[2] * zoom, zoom }
+        Projected {
+            x: self.middle[0] + self.scale * q[0] * zoom,
+            y: self.middle[1] - self.scale * q[1] * zoom,
+            near: self.scale * q[2] * zoom,
+            zoom,
+        }
     }
 }
 

@@ -261,26 +261,26 @@ impl PreparedSurface<'_> {
 
 impl Ball {
     /// Nearness and normal where a place on the screen meets it.
-    fn meet(&self, x: f64, y: f64, scale: f64) -> Option<(f64, [f32; 3])> {
+    fn meet(&self, x: f64, y: f64) -> Option<(f64, [f32; 3])> {
         let (dx, dy) = (x - self.centre.x, self.centre.y - y);
         match self.normal {
             None => {
                 let square = self.radius * self.radius - dx * dx - dy * dy;
                 let height = (square >= 0.0).then(|| square.sqrt())?;
                 let normal = [(dx / self.radius) as f32, (dy / self.radius) as f32, (height / self.radius) as f32];
-                Some((self.centre.near + height / scale, normal))
+                Some((self.centre.near + height, normal))
             }
             Some(normal) => {
                 let steep = f64::from(normal[2]).max(0.2);
                 let height = -(f64::from(normal[0]) * dx + f64::from(normal[1]) * dy) / steep;
-                (dx * dx + dy * dy + height * height <= self.radius * self.radius).then_some((self.centre.near + height / scale, normal))
+                (dx * dx + dy * dy + height * height <= self.radius * self.radius).then_some((self.centre.near + height, normal))
             }
         }
     }
 }
 
 impl Segment {
-    fn meet(&self, x: f64, y: f64, scale: f64) -> Option<(f64, [f32; 3])> {
+    fn meet(&self, x: f64, y: f64) -> Option<(f64, [f32; 3])> {
         let [a, b] = self.ends;
         let (distance, share) = distance_to_segment([x, y], [a.x, a.y], [b.x, b.y]);
         let square = self.radius * self.radius - distance * distance;
@@ -289,7 +289,7 @@ impl Segment {
         let (dx, dy) = (x - a.x - share * (b.x - a.x), a.y + share * (b.y - a.y) - y);
         let normal = [(dx / self.radius) as f32, (dy / self.radius) as f32, (height / self.radius) as f32];
         // A pixel nearer than it is: a line drawn on a surface stays above it.
-        Some((near + (height + 1.0) / scale, normal))
+        Some((near + height + 1.0, normal))
     }
 }
 
@@ -359,7 +359,6 @@ struct Tile {
 struct Painter<'a> {
     scene: Prepared<'a>,
     frame: &'a Frame,
-    scale: f64,
     offsets: Vec<[f64; 2]>,
 }
 
@@ -435,11 +434,11 @@ impl Painter<'_> {
         };
         for &at in balls {
             let ball = &self.scene.balls[at as usize];
-            cover(face_count + at, around(&[ball.centre], ball.radius), &|x, y| ball.meet(x, y, self.scale));
+            cover(face_count + at, around(&[ball.centre], ball.radius), &|x, y| ball.meet(x, y));
         }
         for &at in segments {
             let segment = &self.scene.segments[at as usize];
-            cover(face_count + ball_count + at, around(&segment.ends, segment.radius), &|x, y| segment.meet(x, y, self.scale));
+            cover(face_count + ball_count + at, around(&segment.ends, segment.radius), &|x, y| segment.meet(x, y));
         }
         let mut layers: Vec<Vec<(f32, u32)>> = Vec::new();
         if transparent {
@@ -523,10 +522,10 @@ impl Painter<'_> {
         let id = id - face_count;
         let (colour, opacity, normal) = if id < ball_count {
             let ball = &self.scene.balls[id as usize];
-            (ball.colour, ball.opacity, ball.meet(x, y, self.scale)?.1)
+            (ball.colour, ball.opacity, ball.meet(x, y)?.1)
         } else {
             let segment = &self.scene.segments[(id - ball_count) as usize];
-            let normal = segment.meet(x, y, self.scale)?.1;
+            let normal = segment.meet(x, y)?.1;
             // Thin lines are ink, thick ones are tubes.
             (segment.colour, segment.opacity, if segment.radius < 2.0 { [0.0, 0.0, 1.0] } else { normal })
         };
@@ -610,7 +609,7 @@ pub fn paint(scene: &Scene<'_>, camera: &Camera, frame: &Frame, control: &Contro
             [i / side + j / slant, j / side - i / slant]
         })
         .collect();
-    let painter = Painter { scene: prepared, frame, scale: camera.scale, offsets };
+    let painter = Painter { scene: prepared, frame, offsets };
     let done = AtomicUsize::new(0);
     let tiles: Vec<(Tile, Vec<Pixel>)> = (0..columns * rows)
         .into_par_iter()
@@ -630,7 +629,7 @@ pub fn paint(scene: &Scene<'_>, camera: &Camera, frame: &Frame, control: &Contro
         }
     }
     let open = if frame.hollows > 0.0 && frame.lit {
-        hollows::openness(&pixels, width, height, camera.scale, frame.hollows, control)?
+        hollows::openness(&pixels, width, height, frame.hollows * camera.scale, control)?
     } else {
         Vec::new()
     };
