@@ -222,6 +222,55 @@ def convert(options: Options) -> int:
     return DONE
 
 
+def _eigen_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    _look(parser)
+    _output(parser)
+    parser.add_argument("-k", type=int, default=20, help="how many pairs, from the smallest (20)")
+
+
+@command("eigen", "eigenvalues and eigenfunctions of the Laplacian", _eigen_options)
+def eigen(options: Options) -> int:
+    check_outputs(options)
+    shape, look = shape_of(options), _looks(options)
+    pairs = bt.eigenpairs(shape, arrays.whole(options.k, "-k", 1), progress=Bar("eigenpairs"))
+    table(list(zip(range(len(pairs.values)), pairs.values, pairs.residuals, strict=True)), ("", "eigenvalue", "residual"))
+    values = {"values": pairs.values, "functions": pairs.functions, "residuals": pairs.residuals}
+    first = 1 if len(pairs.values) > 1 else 0
+    shown = {f"mode {at}, λ = {pairs.values[at]:.4g}": pairs.functions[:, at] for at in range(first, min(len(pairs.values), 13))}
+    write(options, shape, values, shown, contours=[0.0], **look)
+    return DONE
+
+
+def _geodesic_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    _look(parser)
+    _output(parser)
+    parser.add_argument("--source", type=int, action="append", help="a vertex at distance 0 (0); may be given several times")
+    parser.add_argument("--contours", type=int, default=20, help="contour lines in pictures (20)")
+
+
+@command("geodesic", "distances along the surface from one or many vertices", _geodesic_options)
+def geodesic(options: Options) -> int:
+    check_outputs(options)
+    shape, look = shape_of(options), _looks(options)
+    sources = options.source or [0]
+    distance = bt.geodesic_distance(shape, sources, progress=Bar("distances"))
+    reached = distance[np.isfinite(distance)]
+    far = int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))
+    rows: list[tuple[str, object]] = [
+        ("sources", ", ".join(map(str, sources))),
+        ("greatest distance", float(reached.max())),
+        ("at vertex", far),
+    ]
+    rows.append(("mean distance", float(reached.mean())))
+    if len(reached) < len(distance):
+        rows.append(("not reached", f"{len(distance) - len(reached)} vertices of other components: inf"))
+    table(rows)
+    write(options, shape, {"distance": distance}, {"distance": distance}, contours=options.contours or None, points=sources, **look)
+    return DONE
+
+
 def _plot_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)

@@ -47,6 +47,41 @@ def test_plot_paints_and_makes_pages(tmp_path, capsys):
     assert wanted.png() == (tmp_path / "c.png").read_bytes() == (tmp_path / "a.png").read_bytes()
 
 
+def test_eigen_prints_and_writes(tmp_path, capsys):
+    bt.save(bt.shapes.sphere(3), tmp_path / "sphere.ply")
+    outs = [arg for name in ("a.npz", "a.csv", "a.ply", "a.png") for arg in ("-o", str(tmp_path / name))]
+    assert main(["eigen", str(tmp_path / "sphere.ply"), "-k", "9", "--size", "300x200", *outs]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["eigenvalue", "residual"]
+    printed = np.array([[float(cell) for cell in line.split()] for line in lines[1:10]])
+    # 0, 2 three times, 6 five times; the triangles of this sphere are 2 % off at most
+    assert printed[1:, 1] == pytest.approx([2] * 3 + [6] * 5, rel=0.02)
+    assert printed[:, 2].max() < 1e-6
+    with np.load(tmp_path / "a.npz") as archive:
+        assert archive["functions"].shape == (642, 9)
+        assert archive["values"] == pytest.approx(printed[:, 1], rel=1e-5, abs=1e-10)
+        saved = bt.load(tmp_path / "a.ply")
+        assert np.array_equal(saved.data["functions_3"], archive["functions"][:, 3])
+        rows = (tmp_path / "a.csv").read_text().splitlines()
+        assert rows[0] == ",".join(f"functions_{k}" for k in range(9))
+        assert np.array_equal(np.loadtxt(rows[1:], delimiter=","), archive["functions"])
+    assert (tmp_path / "a.png").exists()
+
+
+def test_geodesic_prints_and_writes(tmp_path, capsys):
+    bt.save(bt.shapes.sphere(4), tmp_path / "sphere.ply")
+    assert (
+        main(["geodesic", str(tmp_path / "sphere.ply"), "--source", "5", "-o", str(tmp_path / "d.npz"), "-o", str(tmp_path / "d.html")])
+        == 0
+    )
+    table = dict(line.rsplit(maxsplit=1) for line in capsys.readouterr().out.splitlines() if "wrote" not in line)
+    assert float(table["greatest distance"]) == pytest.approx(np.pi, rel=0.05)
+    with np.load(tmp_path / "d.npz") as archive:
+        distance = archive["distance"]
+    exact = np.arccos(np.clip(bt.shapes.sphere(4).vertices @ bt.shapes.sphere(4).vertices[5], -1, 1))
+    assert np.abs(distance - exact).mean() < 0.03  # some 1 % of the diameter, the heat method's own error at this size
+
+
 def test_doctor_is_content(capsys):
     assert main(["doctor"]) == 0
     printed = capsys.readouterr().out
@@ -64,6 +99,9 @@ def test_doctor_is_content(capsys):
         (["plot", "example:bob", "-o", "a.png", "--size", "large"], "1600x1000"),
         (["plot", "example:bob", "-o", "a.png", "--view", "moon"], "three-quarter"),
         (["convert", "example:bob", "bob.doc"], "bob.doc"),
+        (["eigen", "example:bob", "-k", "0"], "-k"),
+        (["eigen", "example:bob", "-o", "a.doc"], ".npz"),
+        (["geodesic", "example:bob", "--source", "334"], "334"),
         (["gallery", "--only", "cookery"], "cookery"),
         (["info", "example:bob", "--threads", "0"], "--threads"),
     ],
