@@ -87,7 +87,7 @@ class Sheet:
 
     def picture(self, shape: Any, values: Any = None, *, caption: str = "", interactive: bool = False, **options: Any) -> None:
         """A picture made by :func:`beltrami.plot`, and with ``interactive`` a page of the same beside it."""
-        stem = f"{self._name}-{len(self.files) + 1}"
+        stem = f"{self._name}-{sum(file.suffix == '.png' for file in self.files) + 1}"
         painted = view.plot(shape, values, path=self._folder / f"{stem}.png", **options)
         assert isinstance(painted, view.Picture)
         self.files.append(self._folder / f"{stem}.png")

@@ -68,7 +68,7 @@ def sphere_spectrum(sheet: Sheet) -> None:
             "vertices": len(mesh.vertices),
             "largest residual": float(np.max(pairs.residuals)),
             "largest relative error": errors[-1],
-            "slope of the error over three refinements (2 is right)": slope,
+            "slope of the error over three sizes (2 is right)": slope,
         }
     )
     sheet.table(
@@ -115,7 +115,6 @@ def geodesic(sheet: Sheet) -> None:
         views=["three-quarter back", "left", "three-quarter"],
         contours=24,
         points=[nose],
-        colormap="magma_r",
         title="Distance from the muzzle of spot",
         caption="Contour lines at equal distances.",
         interactive=True,
