@@ -66,6 +66,41 @@ def intrinsic_gradient(triangulation: TriangulationArrays) -> CsrParts: ...
 def intrinsic_divergence(triangulation: TriangulationArrays, mass: Floats) -> CsrParts: ...
 def thinnest_face(mesh: tuple[Floats, Ints]) -> tuple[int, float] | None: ...
 
+# levelset
+def level_set(
+    mesh: tuple[Floats, Ints], values: Floats, level: float
+) -> tuple[Floats, Ints, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]: ...
+
+# shrink
+@final
+class Elements:
+    def __new__(cls, nodes: int, corners: Ints, hats: Floats, weights: Floats) -> Elements: ...
+    def total_variation(self, values: Floats, joint: bool) -> float: ...
+    def flux(self, field: Floats, flux: Floats) -> None: ...
+    def shrink(
+        self,
+        values: Floats,
+        split: Floats,
+        dual: Floats,
+        flux: Floats,
+        joint: bool,
+        radius: float,
+        penalty: float,
+        relaxation: float,
+    ) -> tuple[float, float]: ...
+
+def constrain(
+    values: Floats,
+    cost: Floats,
+    weights: Floats,
+    split: Floats,
+    dual: Floats,
+    right: Floats,
+    penalty: float,
+    ratio: float,
+    relaxation: float,
+) -> tuple[float, float]: ...
+
 # eigen
 def eigenpairs(
     matrix: CsrArrays,

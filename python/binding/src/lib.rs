@@ -7,6 +7,7 @@ mod error;
 mod geodesic;
 mod intrinsic;
 mod io;
+mod levelset;
 mod local_mesh;
 mod mls;
 mod near;
@@ -14,6 +15,7 @@ mod operators;
 mod run;
 mod sampling;
 mod shape;
+mod shrink;
 mod sliced;
 mod threads;
 mod view;
@@ -33,6 +35,8 @@ mod _core {
     #[pymodule_export]
     use super::io::{load_bytes, load_file, save_file, triangulate, weld};
     #[pymodule_export]
+    use super::levelset::level_set;
+    #[pymodule_export]
     use super::local_mesh::{local_edge_length, local_gradient, local_mass, local_mesh, local_stiffness, local_volumes};
     #[pymodule_export]
     use super::mls::moving_least_squares;
@@ -47,6 +51,8 @@ mod _core {
         check_mesh, face_areas, make_cylinder, make_disc, make_ellipsoid, make_flat_torus, make_grid, make_knot, make_star, make_tori,
         make_torus, oriented_faces, topology,
     };
+    #[pymodule_export]
+    use super::shrink::{Elements, constrain};
     #[pymodule_export]
     use super::sliced::{SlicedAlignment, sliced_distance};
     #[pymodule_export]
