@@ -25,6 +25,7 @@ from .geodesic import HeatMethod, geodesic_distance
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
 from .sampling import farthest_points, poisson_disc
+from .segment import DenoisingResult, SegmentationResult, contours, denoise, segment, segment_path
 from .shapes import PointCloud, TriangleMesh
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 from .solvers import Cholesky, PoissonSolver, solve_poisson
@@ -37,6 +38,7 @@ __all__ = [
     "Cholesky",
     "ClosestPointsResult",
     "ConvergenceError",
+    "DenoisingResult",
     "DependencyError",
     "Eigenpairs",
     "Error",
@@ -52,11 +54,14 @@ __all__ = [
     "PoissonSolver",
     "RayHitsResult",
     "RotationInvariantSlicedWassersteinResult",
+    "SegmentationResult",
     "SphericalMapResult",
     "TopologyError",
     "TriangleMesh",
     "__version__",
     "closest_points",
+    "contours",
+    "denoise",
     "eigenpairs",
     "examples",
     "farthest_points",
@@ -72,6 +77,8 @@ __all__ = [
     "poisson_disc",
     "rotation_invariant_sliced_wasserstein",
     "save",
+    "segment",
+    "segment_path",
     "set_num_threads",
     "shapes",
     "sliced_wasserstein",

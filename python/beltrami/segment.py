@@ -1,0 +1,962 @@
+"""Segmentation and denoising of images on surfaces: convex Chan-Vese and total variation, with a certificate (section 8.1)."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sparse
+
+from . import _core, arrays
+from .arrays import Floats, Ints
+from .clouds import CloudOperators
+from .errors import Cancelled, FileError, InputError
+from .intrinsic import IntrinsicOperators
+from .operators import Operators, operators
+from .progress import Progress, reporter
+from .shapes import PointCloud, Shape, TriangleMesh
+from .solvers import Cholesky, plus_diagonal
+from .view import Page, Picture
+
+__all__ = ["DenoisingResult", "SegmentationResult", "contours", "denoise", "segment", "segment_path"]
+
+TotalVariation = Literal["isotropic", "edge"]
+
+RELAXATION = 1.8  # of 1 to 2; 1.9 and 1 take more sweeps
+CHECK = 10  # sweeps between two certificates
+BALANCE = 50  # sweeps after which the penalty may be changed
+
+
+# --- what both methods stand on ----------------------------------------------------------------------------------------------------
+
+
+class _Surface:
+    """A shape of unit area: its elements, stiffness and mass. ``length`` is the user's length of one unit."""
+
+    def __init__(self, shape: Shape | Operators, tv: TotalVariation) -> None:
+        ops = self.operators = operators(shape)
+        if tv not in ("isotropic", "edge"):
+            raise InputError(f"tv is {tv!r}; choose 'isotropic' or 'edge'")
+        corners, sides, areas = _simplices(ops)
+        dimension = corners.shape[1] - 1
+        if dimension not in (1, 2, 3):
+            raise InputError(f"total variation is there for surfaces and volumes; this shape has dimension {dimension}")
+        total = float(ops.mass.sum())
+        self.tv, self.count = tv, len(ops.mass)
+        self.length = total ** (1 / dimension)
+        self.mass = ops.mass / total
+        self.weights = np.where(self.mass > 0, self.mass, 1 / self.count)  # of the splitting only: vertices of no triangle take part
+        self.corners, self.areas, sides = corners, areas / total, sides / self.length
+        if tv == "isotropic":
+            hats, self.frames = _hats(sides)
+            self.elements = _core.Elements(self.count, corners, hats, np.ascontiguousarray(self.areas))
+            self.stiffness = sparse.csr_array(ops.stiffness * (self.length**2 / total))
+            self.spacing = (1 / np.count_nonzero(ops.mass)) ** (1 / dimension)
+        else:
+            if dimension != 2:
+                raise InputError(f"tv='edge' is there for surfaces; this shape has dimension {dimension}")
+            self.edges, lengths, beside = _edges(corners, sides, self.areas)
+            weights = np.pi / 2 * beside  # of the slope along an edge: Cauchy-Crofton
+            self.elements = _core.Elements(self.count, self.edges, 1 / lengths[:, None], weights)
+            a, b = self.edges.T
+            w = weights / lengths**2
+            graph = sparse.coo_array((np.r_[-w, -w, w, w], (np.r_[a, b, a, b], np.r_[b, a, a, b])), shape=(self.count, self.count))
+            self.stiffness = sparse.csr_array(graph)
+            self.spacing = float(lengths.mean())
+
+    def fields(self, dual: Floats, channels: int) -> Floats:
+        """The dual field in the user's coordinates: (m, D), or (m, channels, D); (edges,) or (edges, channels) for tv="edge"."""
+        if self.tv == "edge":
+            return dual[:, 0].copy() if channels == 1 else dual.copy()
+        local = dual.reshape(len(dual), channels, -1)
+        turned = np.einsum("mca,mad->mcd", local, self.frames)
+        return turned[:, 0] if channels == 1 else turned
+
+    def factor(self, ratio: float | Floats) -> Cholesky:
+        return Cholesky(plus_diagonal(self.stiffness, ratio * self.weights), self.operators.coordinates)
+
+
+def _simplices(ops: Operators) -> tuple[Ints, Floats, Floats]:
+    """Corners (m, s), sides from the first corner to the others (m, s - 1, D), and areas."""
+    if isinstance(ops, CloudOperators):
+        corners, places = ops.simplices, ops.shape.points
+    elif isinstance(ops, IntrinsicOperators):
+        corners, lengths = ops.triangulation.faces, ops.triangulation.lengths
+        first, second, third = lengths.T
+        along = (first**2 + third**2 - second**2) / (2 * first)
+        up = 2 * _heron(lengths) / first
+        zero = np.zeros_like(first)
+        return corners, np.stack([np.stack([first, zero], 1), np.stack([along, up], 1)], 1), ops.simplex_areas
+    else:
+        shape = ops.shape
+        corners, places = (shape.faces, shape.vertices) if isinstance(shape, TriangleMesh) else (np.zeros((0, 3), np.int32), shape.points)
+    return corners, places[corners[:, 1:]] - places[corners[:, :1]], ops.simplex_areas
+
+
+def _heron(lengths: Floats) -> Floats:
+    c, b, a = np.sort(lengths, axis=1).T
+    return 0.25 * np.sqrt(np.maximum((a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c)), 0))
+
+
+def _hats(sides: Floats) -> tuple[Floats, Floats]:
+    """Gradients of all hat functions but the first, in a frame of each simplex (its first axis along the first side); the frames."""
+    count, side, space = sides.shape
+    local, frames = np.zeros((count, side, side)), np.zeros((count, side, space))
+    for j in range(side):
+        rest = sides[:, j].copy()
+        for a in range(j):
+            local[:, j, a] = np.einsum("md,md->m", rest, frames[:, a])
+            rest -= local[:, j, a, None] * frames[:, a]
+        local[:, j, j] = np.linalg.norm(rest, axis=1)
+        frames[:, j] = rest / np.where(local[:, j, j] > 0, local[:, j, j], 1.0)[:, None]
+    flat = np.flatnonzero((np.einsum("mjj->mj", local) <= 0).any(axis=1))
+    if len(flat):
+        raise InputError(f"element {flat[0]} has no area; bt.operators(shape, laplacian='intrinsic_delaunay') can do without it")
+    hats = np.zeros_like(local)  # inverse of the triangular `local`, transposed
+    for j in range(side):
+        hats[:, j, j] = 1 / local[:, j, j]
+    for j in range(side):
+        for k in range(j + 1, side):
+            hats[:, j, k] = -np.einsum("ma,ma->m", local[:, k, j:k], hats[:, j, j:k]) / local[:, k, k]
+    return np.ascontiguousarray(hats.reshape(count, -1)), frames
+
+
+def _edges(corners: Ints, sides: Floats, areas: Floats) -> tuple[Ints, Floats, Floats]:
+    """Edges (e, 2), their lengths, and a third of the areas beside each."""
+    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    vectors = np.concatenate([sides[:, 0], sides[:, 1] - sides[:, 0], sides[:, 1]])
+    kept = np.tile(areas, 3) / 3
+    proper = pairs[:, 0] != pairs[:, 1]
+    pairs, vectors, kept = np.sort(pairs[proper], axis=1).astype(np.int64), vectors[proper], kept[proper]
+    _, first, where = np.unique(pairs[:, 0] << 32 | pairs[:, 1], return_index=True, return_inverse=True)
+    return pairs[first].astype(np.int32), np.linalg.norm(vectors[first], axis=1), np.bincount(where, kept).astype(np.float64)
+
+
+def _image(image: Any, count: int, known: npt.NDArray[np.bool_] | None) -> Floats:
+    """(n, channels), finite wherever it is known; 0 elsewhere."""
+    array = np.asarray(image)
+    if array.ndim not in (1, 2):
+        raise InputError(f"image has shape {array.shape}; ({count},) or ({count}, channels) is needed")
+    if array.shape[0] != count:
+        raise InputError(f"image has {array.shape[0]} values, the shape has {count} vertices; give one (or one row) a vertex")
+    table = arrays.floats(array, "image", (count,) if array.ndim == 1 else (count, None), finite=known is None).reshape(count, -1)
+    if table.shape[1] == 0:
+        raise InputError("image has no channels")
+    if known is not None:
+        table = table.copy()
+        table[~known] = 0.0
+        if not np.isfinite(table).all():
+            where = int(np.argwhere(~np.isfinite(table))[0, 0])
+            raise InputError(f"image[{where}] is not finite although the mask says that it is known; set mask[{where}] to False")
+    return table
+
+
+def _mask(mask: Any, count: int) -> npt.NDArray[np.bool_] | None:
+    if mask is None:
+        return None
+    known = np.asarray(mask)
+    if known.dtype.kind != "b" or known.shape != (count,):
+        raise InputError(
+            f"mask has dtype {known.dtype} and shape {known.shape}; ({count},) booleans are needed, True where the image is known"
+        )
+    if not known.any():
+        raise InputError("mask is False everywhere; the image must be known somewhere")
+    return known.copy()
+
+
+class _Watch:
+    """Progress by the logarithm of the gap."""
+
+    def __init__(self, progress: Progress, label: str, tolerance: float) -> None:
+        self.report, self.tolerance, self.first, self.share = reporter(progress, label), tolerance, 0.0, 0.0
+
+    def __call__(self, gap: float, done: float) -> None:
+        if self.report is None:
+            return
+        gap = max(gap, 1e-300)
+        self.first = self.first or max(gap, 10 * self.tolerance)
+        self.share = max(self.share, done, min(np.log(self.first / gap) / np.log(self.first / self.tolerance), 1.0))
+        if self.report(float(self.share)) is False:
+            raise Cancelled("stopped on request before the gap was reached")
+
+
+# --- segmentation ------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SegmentationResult:
+    """Regions of an image on a surface, and how far from the best they can be at most.
+
+    Attributes
+    ----------
+    shape : TriangleMesh or PointCloud
+    labels : ndarray (n,) of int32
+        Region of each vertex. With two regions 1 is where ``phi > 1/2``, otherwise it is the largest of the memberships.
+    phi : ndarray (n,), or (n, regions) for more than two
+        Memberships, exactly from 0 to 1: the certified answer of the convex problem.
+    means : ndarray (regions, channels)
+        Area-weighted averages of the image over the labels, or those that were given.
+    areas : ndarray (regions,)
+        Area of each label, in squared units of length; they sum to the area of the shape.
+    contours : list of ndarray (k, D)
+        Polylines on the surface where phi is 1/2 (where a region's membership passes the others'), the greater side to the left;
+        closed ones repeat their first point.
+    contour_length : float
+        Their total length in units of length; where two regions of many meet, counted once.
+    primal, dual, gap : float
+        Value reached, a lower bound of all values, and ``(primal - dual) / |primal|``, for a surface of unit area.
+    threshold_energy, excess : float
+        Value of the labels themselves (memberships 0 and 1), and ``(threshold_energy - dual) / |primal|``. With ``tv="edge"`` the
+        excess tends to zero; with isotropic total variation a percent is usual, because triangles make the labels' outline jagged.
+    dual_field : ndarray (m, D), (m, regions, D) for more than two, or (edges,) for ``tv="edge"``
+        Tangent vectors of length at most 1 (1/2 for more than two regions) that prove the bound. On intrinsic triangulations in frames.
+    fidelity : float
+    iterations : int
+    converged : bool
+        Whether the gap reached the tolerance.
+    history : dict of str to ndarray
+        ``iteration``, ``primal``, ``dual``, ``gap`` at each certificate.
+    """
+
+    shape: Shape
+    labels: Ints
+    phi: Floats
+    means: Floats
+    areas: Floats
+    contours: list[Floats]
+    contour_length: float
+    primal: float
+    dual: float
+    gap: float
+    threshold_energy: float
+    excess: float
+    dual_field: Floats
+    fidelity: float
+    iterations: int
+    converged: bool
+    history: dict[str, npt.NDArray[Any]]
+
+    def __repr__(self) -> str:
+        state = "" if self.converged else ", NOT CONVERGED"
+        return f"SegmentationResult({len(self.means)} regions, gap {self.gap:.1e} after {self.iterations} iterations{state})"
+
+    def plot(self, image: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints the labels (or an image) with the contours over them; the options are those of :func:`beltrami.plot`."""
+        from .view import plot
+
+        drawn = {"lines": self.contours or None, **options}
+        return plot(self.shape, self.labels if image is None else image, path=path, **drawn)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``; the shape with labels and memberships to ``.ply``; a picture to ``.png`` or ``.html``;
+        the contours to ``.obj`` (lines), or to ``.csv`` (line, closed, coordinates). :meth:`save_contours` writes them to ``.ply``.
+        """
+        path = Path(path)
+        suffix = path.suffix.lower()
+        if suffix in (".png", ".html"):
+            self.plot(path=path)
+        elif suffix in (".obj", ".csv"):
+            self.save_contours(path)
+        elif suffix == ".ply":
+            members = {"phi": self.phi} if self.phi.ndim == 1 else {f"phi_{k}": np.ascontiguousarray(p) for k, p in enumerate(self.phi.T)}
+            _save_shape(self.shape, {"label": self.labels, **members}, path)
+        elif suffix == ".npz":
+            starts = np.cumsum([0, *(len(line) for line in self.contours)])
+            _write(path, lambda stream: np.savez_compressed(stream, **_fields(self), contour_points=_stack(self), contour_starts=starts))
+        else:
+            raise InputError(f"{path}: a segmentation is written to .npz, .ply, .obj, .csv, .png or .html")
+        return path
+
+    def save_contours(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the contours: ``.obj`` with lines, ``.ply`` with vertices and edges, ``.csv`` with a point a row."""
+        path = Path(path)
+        suffix = path.suffix.lower()
+        points, number = _stack(self), 0
+        if suffix in (".obj", ".ply") and points.shape[1] > 3:
+            raise InputError(f"{path}: {suffix} holds points of R^3, these lie in R^{points.shape[1]}; write .csv")
+        out: list[str] = []
+        if suffix == ".csv":
+            out.append(",".join(["line", "closed", *(f"x{axis}" for axis in range(points.shape[1]))]))
+            for at, line in enumerate(self.contours):
+                closed = int(np.array_equal(line[0], line[-1]))
+                out += [",".join([str(at), str(closed), *map(repr, row)]) for row in line.tolist()]
+        elif suffix == ".obj":
+            spatial = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+            out += [f"v {x!r} {y!r} {z!r}" for x, y, z in spatial.tolist()]
+            for line in self.contours:
+                out.append("l " + " ".join(str(number + k + 1) for k in range(len(line))))
+                number += len(line)
+        elif suffix == ".ply":
+            spatial = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+            edges = len(points) - len(self.contours)
+            out += ["ply", "format ascii 1.0", f"element vertex {len(points)}", *(f"property double {axis}" for axis in "xyz")]
+            out += [f"element edge {edges}", "property int vertex1", "property int vertex2", "end_header"]
+            out += [f"{x!r} {y!r} {z!r}" for x, y, z in spatial.tolist()]
+            for line in self.contours:
+                out += [f"{number + k} {number + k + 1}" for k in range(len(line) - 1)]
+                number += len(line)
+        else:
+            raise InputError(f"{path}: contours are written to .obj, .ply or .csv")
+        _write(path, lambda stream: stream.write(("\n".join(out) + "\n").encode()))
+        return path
+
+
+def _stack(result: SegmentationResult) -> Floats:
+    space = (result.shape.points if isinstance(result.shape, PointCloud) else result.shape.vertices).shape[1]
+    return np.concatenate([np.zeros((0, space)), *result.contours])
+
+
+def _fields(result: Any) -> dict[str, Any]:
+    kept = {name: value for name, value in vars(result).items() if name not in ("shape", "contours", "history")}
+    return {**kept, **{f"history_{name}": values for name, values in result.history.items()}}
+
+
+def _write(path: Path, fill: Any) -> None:
+    try:
+        with path.open("wb") as stream:
+            fill(stream)
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def _save_shape(shape: Shape, data: dict[str, Any], path: Path) -> None:
+    from .files import save
+
+    data = {**dict(shape.data), **data}
+    if isinstance(shape, PointCloud):
+        save(PointCloud(shape.points, dimension=shape.dimension, normals=shape.normals, weights=shape.weights, data=data), path)
+    else:
+        save(TriangleMesh(shape.vertices, shape.faces, data=data), path)
+
+
+class _Segmenter:
+    """The splitting of one surface and image: one factor for all fidelities, and the state that the next one starts from."""
+
+    def __init__(self, shape: Shape | Operators, image: Any, regions: int, means: Any, mask: Any, tv: TotalVariation) -> None:
+        surface = self.surface = _Surface(shape, tv)
+        count = surface.count
+        known = _mask(mask, count)
+        self.image = _image(image, count, known)
+        self.known = (np.ones(count, bool) if known is None else known) & (surface.mass > 0)
+        self.data_mass = surface.mass * self.known
+        self.regions = arrays.whole(regions, "regions", 2, 1000)
+        self.given = means is not None
+        self.start = self._given(means) if self.given else self._clusters()
+        self.means = self.start
+        # Penalty and ratio for which the sweeps hardly depend on the size of the mesh: ρ in units of the spacing, κ of its inverse square.
+        self.penalty = 1.5 * surface.spacing
+        self.ratio = 0.35 / surface.spacing**2
+        self.factor = surface.factor(self.ratio)
+        self.split: list[Floats] | None = None
+
+    def _given(self, means: Any) -> Floats:
+        table = np.asarray(means, float) if np.ndim(means) != 1 else np.asarray(means, float)[:, None]
+        found = arrays.floats(table, "means", (self.regions, self.image.shape[1]))
+        if len(np.unique(found, axis=0)) < self.regions:
+            raise InputError("two of the given means are equal; regions cannot be told apart then")
+        return found.copy()
+
+    def _clusters(self) -> Floats:
+        """Area-weighted k-means: from quantiles along the image's principal axis, sorted along it."""
+        data, weights = self.image[self.known], self.data_mass[self.known]
+        if len(data) == 0:
+            raise InputError("the image is known at no vertex that belongs to a triangle")
+        distinct = len(np.unique(data, axis=0))
+        if distinct < self.regions:
+            text = "the image is constant" if distinct == 1 else f"the image has {distinct} distinct values"
+            raise InputError(f"{text}; {self.regions} regions need at least {self.regions}: ask for fewer, or give means")
+        centred = data - weights @ data / weights.sum()
+        scale = np.abs(centred).max()
+        centred = centred / scale
+        _, axes = np.linalg.eigh((centred * weights[:, None]).T @ centred)
+        axis = axes[:, -1] * (1 if axes[:, -1].sum() >= 0 else -1)
+        position = centred @ axis
+        order = np.argsort(position, kind="stable")
+        if self.image.shape[1] == 1 and self.regions == 2:
+            # the best of all thresholds: the variance between the two sides
+            x, w = position[order], weights[order]
+            mass, moment = np.cumsum(w)[:-1], np.cumsum(w * x)[:-1]
+            rest, rest_moment = w.sum() - mass, (w @ x) - moment
+            cut = np.where(np.diff(x) > 0, moment**2 / mass + rest_moment**2 / np.maximum(rest, 1e-300), -np.inf)
+            labels = np.zeros(len(data), np.intp)
+            labels[order[int(np.argmax(cut)) + 1 :]] = 1
+        else:
+            share = (np.cumsum(weights[order]) - 0.5 * weights[order]) / weights.sum()
+            labels = np.empty(len(data), np.intp)
+            labels[order] = np.minimum((share * self.regions).astype(np.intp), self.regions - 1)
+            # distinct values first: a quantile may hold one value only
+            seeds = np.array([position[labels == k].mean() if (labels == k).any() else np.nan for k in range(self.regions)])
+            if np.isnan(seeds).any() or len(np.unique(np.round(seeds, 12))) < self.regions:
+                values, where = np.unique(position, return_inverse=True)
+                labels = np.minimum(where * self.regions // len(values), self.regions - 1)
+        for _ in range(100):
+            total = np.bincount(labels, weights, self.regions)
+            sums = np.stack([np.bincount(labels, weights * channel, self.regions) for channel in centred.T], 1)
+            centres = sums / np.where(total > 0, total, 1.0)[:, None]
+            distance = np.stack([np.square(centred - centre).sum(1) for centre in centres], 1)
+            distance[:, total == 0] = np.inf
+            new = distance.argmin(1)
+            for empty in np.flatnonzero(np.bincount(new, minlength=self.regions) == 0):  # it takes the point that fits worst
+                worst = int(np.argmax(distance[np.arange(len(new)), new]))
+                new[worst], distance[worst] = empty, 0.0
+            if np.array_equal(new, labels):
+                break
+            labels = new
+        found = self._averages(np.where(self.known, _spread(labels, self.known), 0), None)
+        return found[np.argsort((found - found.mean(0)) @ axis, kind="stable")]
+
+    def _averages(self, labels: npt.NDArray[Any], kept: Floats | None) -> Floats:
+        """Step (6): area-weighted averages over the labels; an empty region keeps its mean."""
+        total = np.bincount(labels, self.data_mass, self.regions)
+        sums = np.stack([np.bincount(labels, self.data_mass * channel, self.regions) for channel in self.image.T], 1)
+        means: Floats = sums / np.where(total > 0, total, 1.0)[:, None]
+        if kept is not None:
+            means[total == 0] = kept[total == 0]
+        return means
+
+    def _cost(self, means: Floats, fidelity: float) -> Floats:
+        """Step (2): the linear term a unit of area. Two regions: fidelity r, r = |I - c1|² - |I - c0|²; more: fidelity |I - c|² of each."""
+        distance = np.stack([np.square(self.image - mean).sum(1) for mean in means], 1)
+        cost = distance[:, 1:] - distance[:, :1] if self.regions == 2 else distance
+        return np.ascontiguousarray(fidelity * cost * self.known[:, None])
+
+    def _labels(self, phi: Floats) -> npt.NDArray[np.intp]:
+        return (phi[:, 0] > 0.5).astype(np.intp) if self.regions == 2 else phi.argmax(1)
+
+    def run(self, fidelity: float, tolerance: float, most: int, watch: _Watch) -> SegmentationResult:
+        surface, elements, mass = self.surface, self.surface.elements, self.surface.mass[:, None]
+        channels, radius = (1, 1.0) if self.regions == 2 else (self.regions, 0.5)
+        shape = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if surface.tv == "isotropic" else 1))
+        means, ratio, weights = self.means, self.ratio, surface.weights
+        cost = self._cost(means, fidelity)
+        scale = float((mass * np.abs(cost)).sum())
+        if self.split is None:
+            z = (cost < 0).astype(float) if channels == 1 else (cost == cost.min(1, keepdims=True)).astype(float)
+            z /= z.sum(1, keepdims=True) if channels > 1 else 1.0
+            self.split = [np.zeros(shape), np.zeros(shape), z, np.zeros_like(z)]
+        w, p, z, y = self.split  # splits of the gradient and of phi, each with its multiplier
+        phi, right, flux = z.copy(), np.zeros_like(z), np.zeros_like(z)
+        penalty = self.penalty
+        tv = lambda values: radius * elements.total_variation(values, False)  # noqa: E731
+
+        def restart() -> None:
+            elements.flux(w - p / penalty, right)
+            np.add(right, ratio * weights[:, None] * (z - y / (penalty * ratio)), out=right)
+
+        def certificate() -> tuple[Floats, Floats, Floats, float, float, float]:
+            """The better of both copies of phi, its labels' means and cost (steps 6 and 2), primal, dual and gap for these."""
+            candidates = [np.clip(phi, 0, 1), z] if channels == 1 else [z]
+            if surface.tv == "edge" and channels == 1:  # the coarea formula is exact on a graph: a threshold is as good
+                candidates.append((phi > 0.5).astype(float))
+            values = [tv(candidate) for candidate in candidates]
+            best = int(np.argmin([value + float((mass * cost * c).sum()) for value, c in zip(values, candidates, strict=True)]))
+            found = candidates[best]
+            new = means if self.given else self._averages(self._labels(found), means)
+            new_cost = self._cost(new, fidelity)
+            primal = values[best] + float((mass * new_cost * found).sum())
+            elements.flux(p, flux)
+            slack = flux + mass * new_cost
+            dual = float(np.minimum(slack, 0).sum() if channels == 1 else slack.min(1).sum())
+            return found, new, new_cost, primal, dual, (primal - dual) / max(abs(primal), 1e-3 * scale, 1e-300)
+
+        history: list[tuple[int, float, float, float]] = []
+        converged, sweep = False, 0
+        restart()
+        for sweep in range(1, most + 1):
+            self.factor.solve(right, out=phi)  # step (3): (L + κ M) phi = G^T A (W - B) + κ M (z - y / σ)
+            missed, moved = elements.shrink(phi, w, p, right, False, radius, penalty, RELAXATION)  # steps (4) and (5)
+            off, shifted = _core.constrain(phi, cost, weights, z, y, right, penalty * ratio, ratio, RELAXATION)  # 0 <= phi <= 1
+            if sweep % CHECK and sweep != most:
+                continue
+            found, means, cost, primal, dual, gap = certificate()  # steps (6) and (2)
+            history.append((sweep, primal, dual, gap))
+            watch(gap, sweep / most)
+            if gap <= tolerance:
+                converged = True
+                break
+            if sweep % BALANCE == 0:
+                factor = _balance(missed + ratio * off, moved + ratio * shifted)
+                if factor != 1.0:
+                    penalty *= factor
+                    restart()
+        self.means, self.penalty = means, penalty
+        return self._result(found, means, cost, history, sweep, converged, fidelity, radius, p)
+
+    def _result(
+        self,
+        found: Floats,
+        means: Floats,
+        cost: Floats,
+        history: list[tuple[int, float, float, float]],
+        sweep: int,
+        converged: bool,
+        fidelity: float,
+        radius: float,
+        p: Floats,
+    ) -> SegmentationResult:
+        surface, ops = self.surface, self.surface.operators
+        labels = self._labels(found)
+        corners = (labels[:, None] == (1 if self.regions == 2 else np.arange(self.regions))).astype(float)
+        energy = radius * surface.elements.total_variation(corners, False) + float((surface.mass[:, None] * cost * corners).sum())
+        _, primal, dual, gap = history[-1]
+        if self.regions == 2:
+            lines, length = _lines(surface, found[:, 0], 0.5)
+        else:
+            lines, length = [], 0.0
+            for region in range(self.regions):
+                others = np.delete(found, region, axis=1).max(1)
+                some, long = _lines(surface, found[:, region] - others, 0.0)
+                lines, length = lines + some, length + 0.5 * long
+        columns = [np.array(column) for column in zip(*history, strict=True)]
+        return SegmentationResult(
+            shape=ops.shape,
+            labels=labels.astype(np.int32),
+            phi=found[:, 0].copy() if self.regions == 2 else found.copy(),
+            means=means,
+            areas=np.bincount(labels, ops.mass, self.regions).astype(np.float64),
+            contours=lines,
+            contour_length=length,
+            primal=primal,
+            dual=dual,
+            gap=gap,
+            threshold_energy=energy,
+            excess=(energy - dual) / max(abs(primal), 1e-300),
+            dual_field=surface.fields(p, found.shape[1]),
+            fidelity=fidelity,
+            iterations=sweep,
+            converged=converged,
+            history=dict(zip(("iteration", "primal", "dual", "gap"), columns, strict=True)),
+        )
+
+
+def elements_count(surface: _Surface) -> int:
+    """Elements of the surface's total variation: simplices, or edges."""
+    return len(surface.edges) if surface.tv == "edge" else len(surface.corners)
+
+
+def _spread(values: npt.NDArray[Any], where: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    out = np.zeros(len(where), np.intp)
+    out[where] = values
+    return out
+
+
+def _balance(primal: float, dual: float) -> float:
+    """Factor of the penalty where one squared residual is far above the other (He, Yang and Wang 2000)."""
+    if primal > 100 * dual:
+        return 2.0
+    if dual > 100 * primal:
+        return 0.5
+    return 1.0
+
+
+def _lines(surface: _Surface, values: Floats, level: float) -> tuple[list[Floats], float]:
+    """Contours in the user's units, and their length."""
+    shape = surface.operators.shape
+    if isinstance(shape, TriangleMesh):
+        found = contours(shape, values, level=level)
+        return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
+    if surface.corners.shape[1] != 3 or not isinstance(surface.operators, CloudOperators):
+        return [], 0.0
+    # A cloud's triangles count by their votes; lines run over those that most of their corners see.
+    ops = surface.operators
+    faces = np.ascontiguousarray(ops.simplices[ops.votes >= 2])
+    found = _polylines(_core.level_set((shape.points, faces), np.ascontiguousarray(values), level))
+    return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
+
+
+def _polylines(parts: tuple[Floats, Ints, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]) -> list[Floats]:
+    points, _, _, starts, _ = parts
+    return [points[a:b].copy() for a, b in itertools.pairwise(starts)]
+
+
+def contours(mesh: TriangleMesh, values: npt.ArrayLike, *, level: float = 0.5) -> list[Floats]:
+    """Where a piecewise-linear function on a mesh takes a level: ordered polylines on the surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    values : array_like (n,)
+        A vertex counts as above where its value is greater than the level.
+    level : float
+
+    Returns
+    -------
+    list of ndarray (k, D)
+        Points on edges, in units of length; the greater side to the left of a consistently oriented mesh. Closed polylines repeat
+        their first point; others end at a boundary, or where more than two triangles share an edge.
+
+    Raises
+    ------
+    InputError
+        Not one finite value a vertex.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> sphere = bt.shapes.sphere(5)
+    >>> (line,) = bt.contours(sphere, sphere.vertices[:, 2], level=0.6)
+    >>> length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
+    >>> bool(abs(length / (2 * np.pi * 0.8) - 1) < 1e-3)
+    True
+    """
+    if not isinstance(mesh, TriangleMesh):
+        raise InputError(f"contours are there on a TriangleMesh, not on a {type(mesh).__name__}")
+    numbers = arrays.floats(values, "values", (len(mesh.vertices),))
+    return _polylines(_core.level_set((mesh.vertices, mesh.faces), numbers, arrays.number(level, "level")))
+
+
+def segment(
+    shape: Shape | Operators,
+    image: npt.ArrayLike,
+    *,
+    fidelity: float = 100.0,
+    regions: int = 2,
+    means: npt.ArrayLike | None = None,
+    mask: npt.ArrayLike | None = None,
+    tv: TotalVariation = "isotropic",
+    tolerance: float | None = None,
+    max_iterations: int = 2000,
+    progress: Progress = None,
+) -> SegmentationResult:
+    """Divide an image on a surface into regions of nearly constant value with short boundaries: convex Chan-Vese [1]_ [2]_.
+
+    Over memberships 0 <= φ <= 1 and the means c of the regions, on the surface scaled to unit area,
+
+        ``∫ |grad φ| + fidelity ∫ r φ``,  ``r = |I - c_1|² - |I - c_0|²``
+
+    is made least by the alternating direction method of multipliers (section 8.1, steps (1)-(7), with a second split for the
+    bounds): one sparse factor, then a solve, a shrinkage on each triangle and a clipping at each vertex a sweep. The means are
+    updated as area-weighted averages. For the means that are returned the problem is convex, and ``dual`` bounds it from below.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+        With or without boundary, in any number of pieces.
+    image : array_like (n,) or (n, channels)
+    fidelity : float
+        Weight of the image against the length of the boundary, dimensionless but for the image's own units, squared: details
+        smaller than about ``sqrt(area) / (fidelity * contrast²)`` are smoothed away. Start with ``30 / contrast²`` and see
+        :func:`segment_path`.
+    regions : int
+        K. More than two share memberships on the simplex: ``1/2 Σ_l ∫ |grad φ_l| + fidelity Σ_l ∫ φ_l |I - c_l|²``.
+    means : array_like (regions,) or (regions, channels), optional
+        Fixed means. Otherwise they are estimated, beginning with area-weighted k-means.
+    mask : array_like (n,) of bool, optional
+        True where the image is known; elsewhere it may hold NaN, and only the length of the boundary counts.
+    tv : {"isotropic", "edge"}
+        Total variation of linear functions on triangles; or ``Σ w |φ_a - φ_b|`` over edges with the weights of Cauchy-Crofton,
+        ``w = π/2 (A_1 + A_2) / 3 / length``, whose minimum is that of a graph cut.
+    tolerance : float, optional
+        Relative gap to stop at: 1e-4, or 1e-6 for ``tv="edge"``.
+    max_iterations : int
+    progress : bool or callable, optional
+
+    Returns
+    -------
+    SegmentationResult
+        With ``converged=False`` if the gap was not reached.
+
+    Raises
+    ------
+    InputError
+        The image does not fit the shape, is not finite or has fewer distinct values than regions; an option is out of range.
+
+    See Also
+    --------
+    segment_path, denoise, contours
+
+    References
+    ----------
+    .. [1] T. Chan, S. Esedoglu, M. Nikolova, Algorithms for finding global minimizers of image segmentation and denoising models, 2006.
+    .. [2] R. Lai, T. Chan, A framework for intrinsic image processing on surfaces, 2011.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> sphere = bt.shapes.sphere(4)
+    >>> image = (sphere.vertices[:, 2] > 0.5) + 0.4 * np.random.default_rng(0).normal(size=len(sphere.vertices))
+    >>> found = bt.segment(sphere, image, fidelity=40.0)
+    >>> found.converged, len(found.contours), bool(abs(found.areas[1] / np.pi - 1) < 0.05)
+    (True, 1, True)
+    """
+    return segment_path(
+        shape,
+        image,
+        fidelities=[fidelity],
+        regions=regions,
+        means=means,
+        mask=mask,
+        tv=tv,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+        progress=progress,
+        _name="fidelity",
+    )[0]
+
+
+def segment_path(
+    shape: Shape | Operators,
+    image: npt.ArrayLike,
+    *,
+    fidelities: Sequence[float] | npt.ArrayLike = (10.0, 100.0, 1000.0),
+    regions: int = 2,
+    means: npt.ArrayLike | None = None,
+    mask: npt.ArrayLike | None = None,
+    tv: TotalVariation = "isotropic",
+    tolerance: float | None = None,
+    max_iterations: int = 2000,
+    progress: Progress = None,
+    _name: str = "fidelities",
+) -> list[SegmentationResult]:
+    """Segmentations for several fidelities, so that one can be chosen: one factor serves all, each starts from the one before.
+
+    Parameters
+    ----------
+    fidelities : sequence of float
+        In the order in which they are wanted; ascending or descending goes fastest.
+    shape, image, regions, means, mask, tv, tolerance, max_iterations, progress
+        As for :func:`segment`; errors too.
+
+    Returns
+    -------
+    list of SegmentationResult
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> grid = bt.shapes.grid(33, 33)
+    >>> x, y = grid.vertices[:, 0], grid.vertices[:, 1]
+    >>> image = np.hypot(x - 0.4, y - 0.4) < 0.25
+    >>> [round(r.contour_length, 1) for r in bt.segment_path(grid, image, fidelities=[3, 30])]
+    [0.0, 1.6]
+    """
+    wanted = np.atleast_1d(np.asarray(fidelities, float)).ravel().tolist()
+    if not wanted:
+        raise InputError("fidelities is empty; give at least one")
+    for value in wanted:
+        arrays.number(value, _name, above=0)
+    wished = arrays.number((1e-6 if tv == "edge" else 1e-4) if tolerance is None else tolerance, "tolerance", above=0)
+    most = arrays.whole(max_iterations, "max_iterations", 1)
+    segmenter = _Segmenter(shape, image, regions, means, mask, tv)
+    results = []
+    for value in wanted:
+        results.append(segmenter.run(float(value), wished, most, _Watch(progress, "segment", wished)))
+        populated = np.bincount(results[-1].labels, minlength=segmenter.regions) > 0
+        if not segmenter.given and not populated.all():
+            segmenter.means = segmenter.start  # a region died out: the next fidelity begins with all of them
+    return results
+
+
+# --- denoising ---------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DenoisingResult:
+    """A denoised image, and how far from the best it can be at most.
+
+    Attributes
+    ----------
+    shape : TriangleMesh or PointCloud
+    image : ndarray (n,) or (n, channels)
+    primal, dual, gap : float
+        Value reached, a lower bound of all values, and ``(primal - dual) / primal``, for a surface of unit area.
+    dual_field : ndarray (m, D), (m, channels, D), or (edges,), (edges, channels) for ``tv="edge"``
+        Of length at most 1; it proves the bound.
+    fidelity : float
+    iterations : int
+    converged : bool
+    history : dict of str to ndarray
+        ``iteration``, ``primal``, ``dual``, ``gap`` at each certificate.
+    """
+
+    shape: Shape
+    image: Floats
+    primal: float
+    dual: float
+    gap: float
+    dual_field: Floats
+    fidelity: float
+    iterations: int
+    converged: bool
+    history: dict[str, npt.NDArray[Any]]
+
+    def __repr__(self) -> str:
+        state = "" if self.converged else ", NOT CONVERGED"
+        return f"DenoisingResult(gap {self.gap:.1e} after {self.iterations} iterations{state})"
+
+    def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints the image; three channels count as colours. The options are those of :func:`beltrami.plot`."""
+        from .view import plot
+
+        values: Any = self.image
+        if values.ndim == 2 and values.shape[1] == 3 and values.min() >= -0.01 and values.max() <= 1.01:
+            values = np.clip(values, 0, 1)
+        elif values.ndim == 2:
+            values = {f"channel {k}": channel for k, channel in enumerate(values.T)}
+        return plot(self.shape, values, path=path, **options)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``, the shape with the image to ``.ply``, a picture to ``.png`` or ``.html``."""
+        path = Path(path)
+        suffix = path.suffix.lower()
+        if suffix in (".png", ".html"):
+            self.plot(path=path)
+        elif suffix == ".ply":
+            flat = self.image.reshape(len(self.image), -1)
+            names = ["image"] if self.image.ndim == 1 else [f"image_{k}" for k in range(flat.shape[1])]
+            _save_shape(self.shape, {name: np.ascontiguousarray(channel) for name, channel in zip(names, flat.T, strict=True)}, path)
+        elif suffix == ".npz":
+            _write(path, lambda stream: np.savez_compressed(stream, **_fields(self)))
+        else:
+            raise InputError(f"{path}: a denoised image is written to .npz, .ply, .png or .html")
+        return path
+
+
+def denoise(
+    shape: Shape | Operators,
+    image: npt.ArrayLike,
+    *,
+    fidelity: float = 100.0,
+    mask: npt.ArrayLike | None = None,
+    tv: TotalVariation = "isotropic",
+    tolerance: float = 1e-4,
+    max_iterations: int = 2000,
+    progress: Progress = None,
+) -> DenoisingResult:
+    """Denoise an image on a surface by total variation (Rudin, Osher and Fatemi [1]_), colour and other channels together [2]_.
+
+    ``∫ |grad u| + fidelity / 2 ∫ |u - I|²`` over the surface scaled to unit area, |·| the Frobenius norm over the channels. Edges
+    stay sharp, each piece keeps its mean, and ``dual`` proves how close to the minimum the answer is.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+    image : array_like (n,) or (n, channels)
+    fidelity : float
+        Larger stays nearer to the image; in units of one over the image's. A round patch of height a and radius R (unit area) survives
+        if ``fidelity > 2 / (a R)``.
+    mask : array_like (n,) of bool, optional
+        True where the image is known. Elsewhere it may hold NaN and is filled in, within the range of the known values.
+    tv : {"isotropic", "edge"}
+        As for :func:`segment`; "edge" sums over the edges.
+    tolerance : float
+        Relative gap to stop at.
+    max_iterations : int
+    progress : bool or callable, optional
+
+    Returns
+    -------
+    DenoisingResult
+        With ``converged=False`` if the gap was not reached.
+
+    Raises
+    ------
+    InputError
+        The image does not fit the shape or is not finite; an option is out of range; a piece of the shape has no known value.
+
+    References
+    ----------
+    .. [1] L. Rudin, S. Osher, E. Fatemi, Nonlinear total variation based noise removal algorithms, 1992.
+    .. [2] P. Blomgren, T. Chan, Color TV: total variation methods for restoration of vector-valued images, 1998.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> sphere = bt.shapes.sphere(4)
+    >>> clean = (sphere.vertices[:, 2] > 0.3).astype(float)
+    >>> noisy = clean + 0.3 * np.random.default_rng(0).normal(size=len(clean))
+    >>> u = bt.denoise(sphere, noisy, fidelity=20.0)
+    >>> u.converged, bool(np.abs(u.image - clean).mean() < 0.3 * np.abs(noisy - clean).mean())
+    (True, True)
+    """
+    fidelity = arrays.number(fidelity, "fidelity", above=0)
+    tolerance = arrays.number(tolerance, "tolerance", above=0)
+    most = arrays.whole(max_iterations, "max_iterations", 1)
+    surface = _Surface(shape, tv)
+    known = _mask(mask, surface.count)
+    data = _image(image, surface.count, known)
+    flat = np.ndim(image) == 1
+    everywhere = known is None
+    known = np.ones(surface.count, bool) if known is None else known
+    pieces = surface.operators.component_labels
+    blind = np.flatnonzero(np.bincount(pieces, known) == 0)
+    if len(blind):
+        at = int(np.flatnonzero(pieces == blind[0])[0])
+        raise InputError(f"the piece of the shape with vertex {at} has no known value; take it out or make its mask True somewhere")
+    # The image's range is the unit of its values, so that one penalty fits all.
+    low, high = data[known].min(0), data[known].max(0)
+    unit = float((high - low).max())
+    if unit <= 0:
+        empty = np.zeros((elements_count(surface), data.shape[1] * (surface.corners.shape[1] - 1 if tv == "isotropic" else 1)))
+        filled = np.broadcast_to(low, data.shape).copy()
+        history: dict[str, npt.NDArray[Any]] = {name: np.zeros(0) for name in ("iteration", "primal", "dual", "gap")}
+        fields = surface.fields(empty, data.shape[1])
+        return DenoisingResult(surface.operators.shape, filled[:, 0] if flat else filled, 0.0, 0.0, 0.0, fields, fidelity, 0, True, history)
+    centre = 0.5 * (low + high)
+    target = (data - centre) / unit * known[:, None]
+    least, greatest = (low - centre) / unit, (high - centre) / unit
+    weight = fidelity * unit
+    mass = surface.mass[:, None]
+    loose = surface.mass == 0  # they keep their values
+    pull = weight * surface.mass * known + loose * (weight / surface.count)
+    elements, channels = surface.elements, data.shape[1]
+    penalty = 0.2
+    shape_of = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if tv == "isotropic" else 1))
+    w, p = np.zeros(shape_of), np.zeros(shape_of)
+    u, right, flux = np.zeros_like(target), np.zeros_like(target), np.zeros_like(target)
+    factor = Cholesky(plus_diagonal(surface.stiffness, pull / penalty), surface.operators.coordinates)
+    watch = _Watch(progress, "denoise", tolerance)
+    steps: list[tuple[int, float, float, float]] = []
+    converged, sweep, best = False, 0, target
+    for sweep in range(1, most + 1):
+        right += pull[:, None] / penalty * target
+        factor.solve(right, out=u)  # (L + μ M / ρ) u = G^T A (W - B) + μ M I / ρ
+        missed, moved = elements.shrink(u, w, p, right, True, 1.0, penalty, RELAXATION)
+        if sweep % CHECK and sweep != most:
+            continue
+        elements.flux(p, flux)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            drop = np.where(mass > 0, flux / (weight * mass), 0.0)
+        free = (flux * np.where(flux > 0, least, greatest))[~known].sum()
+        dual = float((flux * target)[known].sum() - 0.5 * (flux * drop)[known].sum() + free)
+        inside = u.copy()
+        if not everywhere:
+            inside[~known] = np.clip(u[~known], least, greatest)
+        choices = [inside, np.where(known[:, None], target - drop, inside)]
+        values = [
+            elements.total_variation(choice, True) + 0.5 * weight * float((mass * np.square(choice - target))[known].sum())
+            for choice in choices
+        ]
+        primal, best = min(values), choices[int(np.argmin(values))]
+        gap = (primal - dual) / max(primal, 1e-300)
+        steps.append((sweep, unit * primal, unit * dual, gap))
+        watch(gap, sweep / most)
+        if gap <= tolerance:
+            converged = True
+            break
+        if sweep % BALANCE == 0:
+            change = _balance(missed, moved)
+            if change != 1.0:
+                penalty *= change
+                factor.refactor(plus_diagonal(surface.stiffness, pull / penalty))
+                elements.flux(w - p / penalty, right)
+    answer = best * unit + centre
+    columns = [np.array(column) for column in zip(*steps, strict=True)]
+    return DenoisingResult(
+        shape=surface.operators.shape,
+        image=answer[:, 0].copy() if flat else answer,
+        primal=steps[-1][1],
+        dual=steps[-1][2],
+        gap=steps[-1][3],
+        dual_field=surface.fields(p, channels),
+        fidelity=fidelity,
+        iterations=sweep,
+        converged=converged,
+        history=dict(zip(("iteration", "primal", "dual", "gap"), columns, strict=True)),
+    )
