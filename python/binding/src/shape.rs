@@ -41,10 +41,12 @@ fn signed(numbers: Vec<u32>) -> Vec<i32> {
 #[pyfunction]
 pub fn topology<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<TopologyParts<'py>> {
     let mesh = mesh.mesh()?;
-    let (edges, (labels, components), counts, loops, non_manifold, inconsistent, one_sided) = run::brief(py, || {
+    let (edges, (labels, components), counts, loops, non_manifold, inconsistent, one_sided) = run::watched(py, None, |control| {
         let topology = Topology::new(&mesh)?;
+        control.check()?;
         let inconsistent = topology.inconsistent_edge().map(|edge| topology.edges()[edge]);
         let one_sided = topology.turned_faces().err().map(|error| error.to_string());
+        control.check()?;
         let loops: Vec<Vec<u32>> = topology.boundary_loops().into_iter().map(|curve| curve.vertices).collect();
         let counts = (
             topology.euler_characteristic(),
@@ -74,7 +76,7 @@ pub fn topology<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<Topolog
 #[pyfunction]
 pub fn oriented_faces<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
     let mesh = mesh.mesh()?;
-    let faces = run::brief(py, || Topology::new(&mesh)?.oriented_faces())?;
+    let faces = run::watched(py, None, |_| Topology::new(&mesh)?.oriented_faces())?;
     table_out(py, signed(faces.into_flattened()), 3)
 }
 
