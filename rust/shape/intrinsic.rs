@@ -341,7 +341,7 @@ struct Diamond {
 ///
 /// ```
 /// use beltrami::{TriangleMesh, shape::thinnest_face};
-/// let mesh = TriangleMesh::new(2, vec![0.0, 0.0, 2.0, 0.0, 1.0, 0.5, 1.0, 9.0], vec![[0, 1, 3], [0, 1, 2]])?;
+/// let mesh = TriangleMesh::new(2, vec![0.0, 0.0, 2.0, 0.0, 1.0, 0.5, 1.0, 1.5], vec![[0, 1, 3], [0, 1, 2]])?;
 /// assert_eq!(thinnest_face(&mesh), Some((1, 0.25)));
 /// # Ok::<(), beltrami::Error>(())
 /// ```
