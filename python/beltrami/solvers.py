@@ -15,7 +15,7 @@ from .operators import Operators, operators
 from .progress import Progress, reporter
 from .shapes import Shape
 
-__all__ = ["Cholesky", "PoissonSolver", "solve_poisson"]
+__all__ = ["Cholesky", "PoissonSolver", "plus_diagonal", "solve_poisson"]
 
 
 class Cholesky:
@@ -170,6 +170,11 @@ class Cholesky:
 
 
 _COMPATIBLE = 1e-9  # share of its size that the sum of a strict right-hand side may have
+
+
+def plus_diagonal(matrix: sparse.csr_array, diagonal: Floats) -> sparse.csr_array:
+    """``matrix + diag(diagonal)``."""
+    return sparse.csr_array(matrix + sparse.diags_array(diagonal))
 
 
 class PoissonSolver:
