@@ -19,6 +19,7 @@ import numpy.typing as npt
 import beltrami as bt
 
 from . import arrays
+from .clouds import CloudOperators
 from .errors import ConvergenceError, Error, FileError, InputError
 from .progress import Bar
 
@@ -222,18 +223,41 @@ def convert(options: Options) -> int:
     return DONE
 
 
+def _cloud_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--deduplicate", action="store_true", help="clouds: keep the first of points that coincide")
+
+
+def _distinct(options: Options) -> Any:
+    shape = shape_of(options)
+    if options.deduplicate and isinstance(shape, bt.PointCloud):
+        more: dict[str, Any] = {"dimension": shape.dimension, "normals": shape.normals, "weights": shape.weights, "data": shape.data}
+        return bt.PointCloud(shape.points, deduplicate=True, **more)
+    return shape
+
+
+def _operators(shape: Any) -> Any:
+    """The operators, and for clouds what is known about them."""
+    operators = bt.operators(shape)
+    if isinstance(operators, CloudOperators):
+        table([("certified stars", f"{100 * operators.certified:.4g} %"), ("points at the rim", int(operators.boundary.sum()))])
+    for note in operators.notes:
+        print(f"note: {note}")
+    return operators
+
+
 def _eigen_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)
     _output(parser)
     parser.add_argument("-k", type=int, default=20, help="how many pairs, from the smallest (20)")
+    _cloud_options(parser)
 
 
 @command("eigen", "eigenvalues and eigenfunctions of the Laplacian", _eigen_options)
 def eigen(options: Options) -> int:
     check_outputs(options)
-    shape, look = shape_of(options), _looks(options)
-    pairs = bt.eigenpairs(shape, arrays.whole(options.k, "-k", 1), progress=Bar("eigenpairs"))
+    shape, look = _distinct(options), _looks(options)
+    pairs = bt.eigenpairs(_operators(shape), arrays.whole(options.k, "-k", 1), progress=Bar("eigenpairs"))
     table(list(zip(range(len(pairs.values)), pairs.values, pairs.residuals, strict=True)), ("", "eigenvalue", "residual"))
     values = {"values": pairs.values, "functions": pairs.functions, "residuals": pairs.residuals}
     first = 1 if len(pairs.values) > 1 else 0
@@ -248,14 +272,15 @@ def _geodesic_options(parser: argparse.ArgumentParser) -> None:
     _output(parser)
     parser.add_argument("--source", type=int, action="append", help="a vertex at distance 0 (0); may be given several times")
     parser.add_argument("--contours", type=int, default=20, help="contour lines in pictures (20)")
+    _cloud_options(parser)
 
 
 @command("geodesic", "distances along the surface from one or many vertices", _geodesic_options)
 def geodesic(options: Options) -> int:
     check_outputs(options)
-    shape, look = shape_of(options), _looks(options)
+    shape, look = _distinct(options), _looks(options)
     sources = options.source or [0]
-    distance = bt.geodesic_distance(shape, sources, progress=Bar("distances"))
+    distance = bt.geodesic_distance(_operators(shape), sources, progress=Bar("distances"))
     reached = distance[np.isfinite(distance)]
     far = int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))
     rows: list[tuple[str, object]] = [

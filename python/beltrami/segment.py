@@ -16,6 +16,7 @@ import scipy.sparse as sparse
 from . import _core, arrays
 from .arrays import Floats, Ints
 from .clouds import CloudOperators
+from .contours import cloud_contours
 from .errors import Cancelled, FileError, InputError
 from .intrinsic import IntrinsicOperators
 from .operators import Operators, operators
@@ -575,12 +576,14 @@ def _polylines(parts: tuple[Floats, Ints, Floats, npt.NDArray[np.int64], npt.NDA
     return [points[a:b].copy() for a, b in itertools.pairwise(starts)]
 
 
-def contours(mesh: TriangleMesh, values: npt.ArrayLike, *, level: float = 0.5) -> list[Floats]:
-    """Where a piecewise-linear function on a mesh takes a level: ordered polylines on the surface.
+def contours(shape: Shape | Operators, values: npt.ArrayLike, *, level: float = 0.5) -> list[Floats]:
+    """Where a piecewise-linear function on a surface takes a level: ordered polylines.
 
     Parameters
     ----------
-    mesh : TriangleMesh
+    shape : TriangleMesh, PointCloud or Operators
+        Of a surface. On clouds the function is linear on the triangles of the local mesh: those with more votes go first, and ends
+        that are left within two edge lengths, where stars disagree, are joined.
     values : array_like (n,)
         A vertex counts as above where its value is greater than the level.
     level : float
@@ -605,8 +608,11 @@ def contours(mesh: TriangleMesh, values: npt.ArrayLike, *, level: float = 0.5) -
     >>> bool(abs(length / (2 * np.pi * 0.8) - 1) < 1e-3)
     True
     """
+    if isinstance(shape, PointCloud | CloudOperators):
+        return cloud_contours(shape, values, arrays.number(level, "level"))
+    mesh = shape.shape if isinstance(shape, Operators) else shape
     if not isinstance(mesh, TriangleMesh):
-        raise InputError(f"contours are there on a TriangleMesh, not on a {type(mesh).__name__}")
+        raise InputError(f"contours are there on a TriangleMesh or a PointCloud, not on a {type(mesh).__name__}")
     numbers = arrays.floats(values, "values", (len(mesh.vertices),))
     return _polylines(_core.level_set((mesh.vertices, mesh.faces), numbers, arrays.number(level, "level")))
 

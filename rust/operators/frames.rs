@@ -487,15 +487,17 @@ fn refuse_duplicates(cloud: &Cloud, states: &[State], neighbors: &[u32], width: 
     let mut copies: Vec<(u32, u32)> = (0..states.len())
         .filter(|&rank| states[rank] == State::Duplicate)
         .map(|rank| (cloud.original[rank], cloud.original[neighbors[rank * width] as usize]))
+        .map(|(point, other)| (point.min(other), point.max(other)))
         .collect();
     if copies.is_empty() {
         return Ok(());
     }
     copies.sort_unstable();
+    copies.dedup();
     let mut text =
         copies.iter().take(6).map(|(point, other)| format!("point {point} coincides with point {other}")).collect::<Vec<_>>().join(", ");
     if copies.len() > 6 {
-        text += &format!(" ({} points in all)", copies.len());
+        text += &format!(" ({} such pairs in all)", copies.len());
     }
     Err(Error::input(format!("{text}; remove copies, or let deduplicate=True keep the first of each")))
 }

@@ -35,7 +35,7 @@ const NEGATIVE: [f64; 2] = [1e-4, 1e-8];
 const PIVOT: f64 = 1e-11;
 
 /// Rounds of the search for the signs of a row.
-const ROUNDS: usize = 24;
+const ROUNDS: usize = 16;
 
 /// How much a neighbour counts in a fit, by its distance r from the point and that of the farthest neighbour, R.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -504,10 +504,11 @@ impl<'a> MlsWork<'a> {
         'found: for strength in NEGATIVE {
             for _ in 0..ROUNDS {
                 let signs = |strength: f64| move |(j, &c): (usize, &f64)| if j + 1 < count && c < 0.0 { strength } else { 1.0 };
-                // First whether the positive entries alone can do it.
+                // First whether the positive entries alone can do it; for degree 4 they never can.
                 strengths.clear();
                 strengths.extend(current.iter().enumerate().map(signs(0.0)));
-                if self.factor(Some(&strengths))
+                if self.options.degree < 4
+                    && self.factor(Some(&strengths))
                     && self.solve(target, Some(&strengths), &mut trial)
                     && trial[..count - 1].iter().all(|&c| c >= 0.0)
                 {

@@ -1,0 +1,91 @@
+"""Level sets of functions on clouds, as polylines."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from . import arrays
+from .arrays import Floats
+from .clouds import CloudOperators
+from .errors import InputError
+from .near import nearest_neighbors
+from .operators import operators
+from .shapes import PointCloud
+
+Edge = tuple[int, int]
+
+
+def cloud_contours(shape: PointCloud | CloudOperators, values: npt.ArrayLike, height: float) -> list[Floats]:
+    """:func:`beltrami.contours` on a cloud."""
+    ops = operators(shape)
+    if not isinstance(ops, CloudOperators) or ops.shape.dimension != 2:
+        raise InputError("contours are curves on surfaces; this cloud has another dimension than 2")
+    points, triangles, votes = ops.local_mesh
+    number = arrays.floats(values, "values", (len(points),))
+    above = number > height
+    inside = above[triangles]
+    cut = inside.any(1) & ~inside.all(1)
+    triangles, inside = triangles[cut].astype(np.int64), inside[cut]
+    # The corner that is alone on its side: its two edges are crossed.
+    lone = np.where(inside.sum(1) == 1, inside.argmax(1), (~inside).argmax(1))
+    rows = np.arange(len(triangles))
+    apex, left, right = triangles[rows, lone], triangles[rows, (lone + 1) % 3], triangles[rows, (lone + 2) % 3]
+    ends = np.stack([np.sort(np.c_[apex, left], 1), np.sort(np.c_[apex, right], 1)], 1)
+    order = np.argsort(-votes[cut].astype(np.int64), kind="stable")
+    links = _link([((a, b), (c, d)) for (a, b), (c, d) in ends[order].tolist()])
+    _join(links, ops.boundary, points)
+    chains = _chains(links)
+    found = []
+    for chain in chains:
+        i, j = np.transpose(chain)
+        share = ((height - number[i]) / (number[j] - number[i]))[:, None]
+        found.append(points[i] * (1 - share) + points[j] * share)
+    return found
+
+
+def _link(segments: list[tuple[Edge, Edge]]) -> dict[Edge, list[Edge]]:
+    """Crossed edges and the one or two that follow them; a segment to an edge that has two already is left out."""
+    links: dict[Edge, list[Edge]] = {}
+    for start, end in segments:
+        first, second = links.setdefault(start, []), links.setdefault(end, [])
+        if len(first) < 2 and len(second) < 2 and end not in first:
+            first.append(end)
+            second.append(start)
+    return links
+
+
+def _join(links: dict[Edge, list[Edge]], rim: npt.NDArray[np.bool_], points: Floats) -> None:
+    """Joins ends of chains that are within two edge lengths: stars that disagree have left a gap there."""
+    ends = sorted(edge for edge, following in links.items() if len(following) < 2 and not rim[list(edge)].all())
+    if len(ends) < 2:
+        return
+    corners = points[np.array(ends)]
+    middle, reach = corners.mean(1), 2.0 * np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    indices, distances = nearest_neighbors(middle, middle, min(8, len(ends)))
+    pairs = {(float(d), min(a, b), max(a, b)) for a in range(len(ends)) for b, d in zip(indices[a].tolist(), distances[a], strict=True)}
+    for distance, a, b in sorted(pairs):
+        first, second = links[ends[a]], links[ends[b]]
+        near = a != b and distance <= max(reach[a], reach[b]) and ends[b] not in first
+        if near and len(first) < 2 and len(second) < 2:
+            first.append(ends[b])
+            second.append(ends[a])
+
+
+def _chains(links: dict[Edge, list[Edge]]) -> list[list[Edge]]:
+    """Open chains from their ends, then closed ones, in the order of their first edge."""
+    chains: list[list[Edge]] = []
+    seen: set[Edge] = set()
+    for open_ends in (True, False):
+        for start in sorted(links):
+            if start in seen or not links[start] or (open_ends and len(links[start]) == 2):
+                continue
+            chain = [start]
+            seen.add(start)
+            while following := [edge for edge in links[chain[-1]] if edge not in seen]:
+                chain.append(following[0])
+                seen.add(following[0])
+            if not open_ends and len(chain) > 2:
+                chain.append(start)
+            chains.append(chain)
+    return chains
