@@ -40,6 +40,19 @@ impl Affine {
     }
 }
 
+/// What all samples of a face share: its corners, how they look, and the rates at which coordinates change on the screen.
+struct Local {
+    face: usize,
+    vertices: [usize; 3],
+    affine: Affine,
+    shrink: [f64; 3],
+    normals: [[f32; 3]; 3],
+    values: [f64; 3],
+    known: bool,
+    steepness: f64,    // change of the values along a pixel
+    heights: [f64; 3], // of the triangle, in pixels
+}
+
 struct PreparedSurface<'a> {
     surface: &'a Surface<'a>,
     screen: Vec<Projected>,
@@ -149,15 +162,53 @@ impl PreparedSurface<'_> {
         [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])]
     }
 
+    /// What all samples of a face share.
+    fn local(&self, face: usize) -> Option<Local> {
+        let corners = self.corners(face);
+        let affine = Affine::new(corners)?;
+        let vertices = self.surface.faces[face].map(|corner| corner as usize);
+        let mut flat = self.face_normals[face];
+        if flat[2] < 0.0 {
+            flat = flat.map(|x| -x);
+        }
+        let normals = vertices.map(|vertex| {
+            let own = self.vertex_normals[vertex];
+            let cosine = own[0] * flat[0] + own[1] * flat[1] + own[2] * flat[2];
+            match self.surface.smooth && cosine.abs() >= CREASE {
+                true if cosine < 0.0 => own.map(|x| -x),
+                true => own,
+                false => flat,
+            }
+        });
+        let length = |x: f64, y: f64| (x * x + y * y).sqrt();
+        let mut values = [0.0; 3];
+        let mut steepness = 0.0;
+        if let Colouring::Scalars { values: all, .. } = self.surface.colouring {
+            values = vertices.map(|vertex| all[vertex]);
+            steepness = length((0..3).map(|k| affine.x[k] * values[k]).sum(), (0..3).map(|k| affine.y[k] * values[k]).sum());
+        }
+        Some(Local {
+            face,
+            vertices,
+            shrink: corners.map(|corner| 1.0 / corner.zoom),
+            normals,
+            values,
+            known: values.iter().all(|v| v.is_finite()),
+            steepness,
+            heights: [0, 1, 2].map(|k| 1.0 / length(affine.x[k], affine.y[k])),
+            affine,
+        })
+    }
+
     /// Colour before light. `weights` are barycentric coordinates on the triangle itself, not on the screen.
-    fn colour(&self, face: usize, affine: &Affine, weights: [f64; 3], samples: f64) -> (Rgb, f32) {
-        let corners = self.surface.faces[face].map(|corner| corner as usize);
+    fn colour(&self, local: &Local, weights: [f64; 3], samples: f64) -> (Rgb, f32) {
+        let corners = local.vertices;
         let mut opacity = 1.0;
         let mut colour = match self.surface.colouring {
             Colouring::Uniform(_) => self.table[0],
             Colouring::Faces(colours) => {
-                opacity = colours[face][3];
-                self.table[face]
+                opacity = colours[local.face][3];
+                self.table[local.face]
             }
             Colouring::Vertices(colours) => {
                 let mix = |axis: usize| (0..3).map(|k| weights[k] as f32 * self.table[corners[k]][axis]).sum();
@@ -176,71 +227,49 @@ impl PreparedSurface<'_> {
                 }
                 self.table.get(label[best] as usize).copied().unwrap_or(self.missing)
             }
-            Colouring::Scalars { values, low, high, .. } => {
-                let value = corners.map(|corner| values[corner]);
-                let mut colour = if value.iter().all(|v| v.is_finite()) {
-                    self.look_up((0..3).map(|k| weights[k] * value[k]).sum(), low, high)
+            Colouring::Scalars { low, high, .. } => {
+                let value = local.values;
+                let here = (0..3).map(|k| weights[k] * value[k]).sum();
+                let mut colour = if local.known {
+                    self.look_up(here, low, high)
                 } else {
                     let heaviest = (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best });
                     if value[heaviest].is_finite() { self.look_up(value[heaviest], low, high) } else { self.missing }
                 };
-                if !self.surface.levels.is_empty() && value.iter().all(|v| v.is_finite()) {
-                    let here: f64 = (0..3).map(|k| weights[k] * value[k]).sum();
-                    let steepness =
-                        (0..3).map(|k| affine.x[k] * value[k]).sum::<f64>().hypot((0..3).map(|k| affine.y[k] * value[k]).sum::<f64>());
+                if !self.surface.levels.is_empty() && local.known {
                     let after = self.surface.levels.partition_point(|&level| level < here);
                     let nearest = [after.checked_sub(1), Some(after)]
                         .into_iter()
                         .flatten()
                         .filter_map(|at| self.surface.levels.get(at))
                         .fold(f64::INFINITY, |least, level| least.min((level - here).abs()));
-                    let cover = ((0.5 * self.surface.level_width - nearest / steepness) * samples + 0.5).clamp(0.0, 1.0);
+                    let cover = ((0.5 * self.surface.level_width - nearest / local.steepness) * samples + 0.5).clamp(0.0, 1.0);
                     if cover > 0.0 {
-                        let share = cover as f32 * self.surface.level_colour[3];
-                        for axis in 0..3 {
-                            colour[axis] += share * (self.level_colour[axis] - colour[axis]);
-                        }
+                        blend(&mut colour, self.level_colour, cover as f32 * self.surface.level_colour[3]);
                     }
                 }
                 colour
             }
         };
         if self.surface.edge_width > 0.0 {
-            // Pixels from the nearest edge: a coordinate over its own steepness.
-            let distance =
-                |weights: [f64; 3]| (0..3).fold(f64::INFINITY, |least, k| least.min(weights[k] / affine.x[k].hypot(affine.y[k])));
-            let cover = ((0.5 * self.surface.edge_width - distance(weights)) * samples + 0.5).clamp(0.0, 1.0);
-            let share = cover as f32 * self.surface.edge_colour[3];
-            for axis in 0..3 {
-                colour[axis] += share * (self.edge_colour[axis] - colour[axis]);
-            }
+            let distance = (0..3).fold(f64::INFINITY, |least, k| least.min(weights[k] * local.heights[k]));
+            let cover = ((0.5 * self.surface.edge_width - distance) * samples + 0.5).clamp(0.0, 1.0);
+            blend(&mut colour, self.edge_colour, cover as f32 * self.surface.edge_colour[3]);
         }
         (colour, opacity)
     }
 
-    fn see(&self, face: usize, x: f64, y: f64, frame: &Frame) -> Option<Seen> {
-        let corners = self.corners(face);
-        let affine = Affine::new(corners)?;
+    fn see(&self, local: &Local, x: f64, y: f64, frame: &Frame) -> Seen {
         // On the screen, things divided by distance are linear: undo that.
-        let flat = affine.at(x, y).map(|b| b.max(0.0));
-        let mut weights = [flat[0] / corners[0].zoom, flat[1] / corners[1].zoom, flat[2] / corners[2].zoom];
+        let flat = local.affine.at(x, y).map(|b| b.max(0.0));
+        let mut weights = [flat[0] * local.shrink[0], flat[1] * local.shrink[1], flat[2] * local.shrink[2]];
         let sum: f64 = weights.iter().sum();
         weights = weights.map(|weight| weight / sum);
-        let (mut colour, mut opacity) = self.colour(face, &affine, weights, frame.samples as f64);
-        let mut flat_normal = self.face_normals[face];
-        if flat_normal[2] < 0.0 {
-            flat_normal = flat_normal.map(|x| -x);
-        }
-        let mut normal = flat_normal;
-        if self.surface.smooth {
-            normal = [0.0; 3];
-            for (k, &corner) in self.surface.faces[face].iter().enumerate() {
-                let own = self.vertex_normals[corner as usize];
-                let cosine = own[0] * flat_normal[0] + own[1] * flat_normal[1] + own[2] * flat_normal[2];
-                let (own, sign) = if cosine.abs() >= CREASE { (own, cosine.signum()) } else { (flat_normal, 1.0) };
-                for axis in 0..3 {
-                    normal[axis] += weights[k] as f32 * sign * own[axis];
-                }
+        let (mut colour, mut opacity) = self.colour(local, weights, frame.samples as f64);
+        let mut normal = [0.0; 3];
+        for k in 0..3 {
+            for axis in 0..3 {
+                normal[axis] += weights[k] as f32 * local.normals[k][axis];
             }
         }
         normal[2] = normal[2].max(0.02); // interpolation may turn it from the eye near the outline
@@ -255,7 +284,18 @@ impl PreparedSurface<'_> {
             opacity *= (1.0 - clear) + clear * 0.85 * grazing;
             colour = colour.map(|c| c * (1.0 - 0.6 * clear * grazing));
         }
-        Some(Seen { colour, opacity, normal })
+        Seen { colour, opacity, normal }
+    }
+
+    /// Whether colour and light change so little inside a pixel that one look at a face is enough.
+    fn calm(&self) -> bool {
+        self.surface.levels.is_empty() && self.surface.edge_width <= 0.0 && !matches!(self.surface.colouring, Colouring::Labels { .. })
+    }
+}
+
+fn blend(colour: &mut Rgb, other: Rgb, share: f32) {
+    for axis in 0..3 {
+        colour[axis] += share * (other[axis] - colour[axis]);
     }
 }
 
@@ -422,11 +462,9 @@ impl Painter<'_> {
                     for (sample, offset) in self.offsets.iter().enumerate() {
                         let (x, y) = ((tile.x + column) as f64 + 0.5 + offset[0], (tile.y + row) as f64 + 0.5 + offset[1]);
                         let slot = (row * tile.width + column) * count + sample;
-                        if let Some((here, _)) = meet(x, y) {
-                            if here as f32 > near[slot] {
-                                near[slot] = here as f32;
-                                first[slot] = id;
-                            }
+                        if let Some((here, _)) = meet(x, y).filter(|&(here, _)| here as f32 > near[slot]) {
+                            near[slot] = here as f32;
+                            first[slot] = id;
                         }
                     }
                 }
@@ -466,13 +504,26 @@ impl Painter<'_> {
             }
         }
         let mut pixels = Vec::with_capacity(tile.width * tile.height);
+        let surface = self.scene.surface.as_ref();
+        let calm = surface.is_some_and(PreparedSurface::calm) && layers.is_empty();
+        // Samples side by side mostly see the same face.
+        let mut local: Option<Local> = None;
+        let mut look = |face: u32, x: f64, y: f64| -> Option<Seen> {
+            let surface = surface?;
+            if local.as_ref().is_none_or(|local| local.face != face as usize) {
+                local = surface.local(face as usize);
+            }
+            local.as_ref().map(|local| surface.see(local, x, y, self.frame))
+        };
         for place in 0..tile.width * tile.height {
             let (column, row) = (place % tile.width, place / tile.width);
             let mut pixel = Pixel { colour: [0.0; 3], cover: 0.0, near: 0.0, normal: [0.0; 3] };
             let mut solid = 0u32;
+            let (middle_x, middle_y) = ((tile.x + column) as f64 + 0.5, (tile.y + row) as f64 + 0.5);
+            let mut before: Option<(u32, Seen)> = None;
             for (sample, offset) in self.offsets.iter().enumerate() {
                 let slot = place * count + sample;
-                let (x, y) = ((tile.x + column) as f64 + 0.5 + offset[0], (tile.y + row) as f64 + 0.5 + offset[1]);
+                let (x, y) = (middle_x + offset[0], middle_y + offset[1]);
                 let mut left = 1.0f32;
                 let mut add = |seen: Seen| {
                     let share = left * seen.opacity;
@@ -482,18 +533,24 @@ impl Painter<'_> {
                     pixel.cover += share;
                     left -= share;
                 };
-                if let Some(surface) = &self.scene.surface {
-                    for layer in &layers {
-                        let (_, face) = layer[slot];
-                        if face == NOTHING {
-                            break;
-                        }
-                        if let Some(seen) = surface.see(face as usize, x, y, self.frame) {
-                            add(seen);
-                        }
+                for layer in &layers {
+                    let (_, face) = layer[slot];
+                    if face == NOTHING {
+                        break;
+                    }
+                    if let Some(seen) = look(face, x, y) {
+                        add(seen);
                     }
                 }
-                if let Some(seen) = self.see(first[slot], face_count, ball_count, x, y) {
+                let id = first[slot];
+                let seen = match before {
+                    Some((last, seen)) if calm && last == id => Some(seen),
+                    _ if id < face_count && calm => look(id, middle_x, middle_y),
+                    _ if id < face_count => look(id, x, y),
+                    _ => self.see(id, face_count, ball_count, x, y),
+                };
+                if let Some(seen) = seen {
+                    before = (id < face_count).then_some((id, seen));
                     add(seen);
                     pixel.near += near[slot];
                     for axis in 0..3 {
@@ -512,12 +569,10 @@ impl Painter<'_> {
         pixels
     }
 
+    /// A ball or a line.
     fn see(&self, id: u32, face_count: u32, ball_count: u32, x: f64, y: f64) -> Option<Seen> {
         if id == NOTHING {
             return None;
-        }
-        if id < face_count {
-            return self.scene.surface.as_ref().and_then(|surface| surface.see(id as usize, x, y, self.frame));
         }
         let id = id - face_count;
         let (colour, opacity, normal) = if id < ball_count {
