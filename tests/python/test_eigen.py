@@ -1,0 +1,178 @@
+"""Eigenpairs: closed forms with complete multiplicities, order of convergence, scipy as peer, refusals."""
+
+from __future__ import annotations
+
+import beltrami as bt
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sparse
+import scipy.sparse.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+
+def dense_values(stiffness, mass, k):
+    scale = 1 / np.sqrt(mass)
+    return scipy.linalg.eigh(stiffness.toarray() * np.outer(scale, scale), eigvals_only=True, subset_by_index=(0, k - 1))
+
+
+def check(ops, e, k):
+    mass = ops.mass
+    assert e.values.shape == (k,)
+    assert e.functions.shape == (len(mass), k)
+    assert (np.diff(e.values) >= -1e-12 * e.values[-1]).all()
+    assert abs(e.functions.T @ (mass[:, None] * e.functions) - np.eye(k)).max() < 1e-10
+    rest = ops.stiffness @ e.functions - mass[:, None] * e.functions * e.values
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own = np.sqrt(np.where(mass[:, None] > 0, rest**2 / mass[:, None], 0).sum(axis=0))
+    # Reported and recomputed residuals agree up to the rounding of both.
+    assert np.allclose(own, e.residuals, rtol=1e-3, atol=1e-9 * max(e.values[-1], 1))
+    assert own.max() <= 1e-7 * max(e.values[-1], 4 * np.pi / mass.sum())
+    first = (abs(e.functions) >= (1 - 1e-8) * abs(e.functions).max(axis=0)).argmax(axis=0)  # symmetry makes many entries equal
+    assert (np.take_along_axis(e.functions, first[None], axis=0) > 0).all()
+
+
+def test_sphere_has_every_copy():
+    """l(l+1), 2l+1 times: 1, 3, 5, 7, 9, 11; frequency 24 has 5,762 vertices, so the values are off by < 1 %."""
+    ops = bt.operators(bt.shapes.sphere(frequency=24))
+    e = bt.eigenpairs(ops, 36)
+    check(ops, e, 36)
+    exact = np.repeat([l * (l + 1) for l in range(6)], [2 * l + 1 for l in range(6)])  # noqa: E741
+    assert abs(e.values - exact).max() < 0.01 * exact[-1]
+    assert e.iterations > 0  # the iterative path
+
+
+def test_order_two_on_the_sphere():
+    """The finite-element error of l (l + 1) falls with the square of the spacing."""
+    exact = np.repeat([0.0, 2.0, 6.0], [1, 3, 5])
+    sizes, errors = [6, 10, 16, 25], []
+    for frequency in sizes:
+        values = bt.eigenpairs(bt.shapes.sphere(frequency=frequency), 9).values
+        errors.append(abs(values[1:] / exact[1:] - 1).max())
+    slope = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert slope > 1.9, f"order {slope:.2f} from {errors}"
+
+
+def test_chords_of_the_flat_torus_are_exact():
+    """On the product of two regular polygons with n corners (2 - 2 cos h) / chord² = 1: the values p² + q² = 1 come out exactly."""
+    values = bt.eigenpairs(bt.shapes.flat_torus(rows=40, columns=27), 9).values
+    assert np.allclose(values, [0, 1, 1, 1, 1, 2, 2, 2, 2], rtol=0, atol=1e-12)
+
+
+def test_four_equal_pieces():
+    """More copies (4, then 12, then 20) than a block of the iteration is wide: none may be missing."""
+    piece = bt.shapes.sphere(frequency=6)
+    vertices = np.vstack([piece.vertices + np.array([3.0 * c, 0, 0]) for c in range(4)])
+    faces = np.vstack([piece.faces + c * len(piece.vertices) for c in range(4)])
+    ops = bt.operators(bt.TriangleMesh(vertices, faces))
+    e = bt.eigenpairs(ops, 40)
+    check(ops, e, 40)
+    alone = bt.operators(piece)
+    exact = np.repeat(dense_values(alone.stiffness, alone.mass, 10), 4)
+    assert np.allclose(e.values, exact, rtol=1e-9, atol=1e-9)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([1, 3, 17, 60]))
+def test_against_a_dense_solver(seed, k):
+    rng = np.random.default_rng(seed)
+    mesh = bt.shapes.torus(rows=int(rng.integers(8, 24)), columns=int(rng.integers(8, 16)))
+    mesh = bt.TriangleMesh(mesh.vertices * rng.uniform(0.3, 2.0, 3), mesh.faces)
+    ops = bt.operators(mesh, laplacian="cotangent")
+    k = min(k, len(ops.mass))
+    e = bt.eigenpairs(ops, k)
+    check(ops, e, k)
+    exact = dense_values(ops.stiffness, ops.mass, k)
+    assert np.allclose(e.values, exact, rtol=1e-9, atol=1e-9 * 4 * np.pi / mesh.area)
+
+
+def test_peer_scipy_on_a_knot():
+    ops = bt.operators(bt.shapes.knot())
+    e = bt.eigenpairs(ops, 20)
+    mass = sparse.diags_array(ops.mass).tocsc()
+    theirs = scipy.sparse.linalg.eigsh(sparse.csc_array(ops.stiffness), 20, mass, sigma=-1e-2, v0=np.ones(len(ops.mass)))[0]
+    assert np.allclose(e.values[1:], np.sort(theirs)[1:], rtol=1e-9)
+
+
+def test_scaling():
+    """Lengths times s: values times s^-2, functions divided by s."""
+    mesh = bt.shapes.ellipsoid(level=3)
+    big = bt.TriangleMesh(1e4 * mesh.vertices, mesh.faces)
+    a, b = bt.eigenpairs(mesh, 6), bt.eigenpairs(big, 6)
+    assert np.allclose(b.values[1:] * 1e8, a.values[1:], rtol=1e-9)
+    assert np.allclose(abs(b.functions) * 1e4, abs(a.functions), rtol=0, atol=1e-6 * abs(a.functions).max())
+
+
+def test_pencil_of_matrices():
+    """The path of 400 points: values 2 - 2 cos(π j / 400); a mass matrix 2 I halves them."""
+    n = 400
+    diagonal = np.r_[1.0, np.full(n - 2, 2.0), 1.0]
+    a = sparse.diags_array([-np.ones(n - 1), diagonal, -np.ones(n - 1)], offsets=(-1, 0, 1))
+    exact = 2 - 2 * np.cos(np.pi * np.arange(9) / n)
+    assert np.allclose(bt.eigenpairs(a, 9).values, exact, rtol=0, atol=1e-12)
+    halves = bt.eigenpairs(a, 9, mass=sparse.diags_array(np.full(n, 2.0)))
+    assert np.allclose(halves.values, exact / 2, rtol=0, atol=1e-12)
+    assert abs(halves.functions.T @ halves.functions - np.eye(9) / 2).max() < 1e-10
+
+
+def test_a_full_mass_matrix_against_scipy():
+    mesh = bt.shapes.torus(rows=20, columns=14)
+    ops = bt.operators(mesh, laplacian="cotangent")
+    e = bt.eigenpairs(ops.stiffness, 12, mass=ops.galerkin_mass)
+    exact = scipy.linalg.eigh(ops.stiffness.toarray(), ops.galerkin_mass.toarray(), eigvals_only=True)[:12]
+    assert np.allclose(e.values, exact, rtol=1e-9, atol=1e-10)
+
+
+def test_warm_start_needs_fewer_solves():
+    mesh = bt.shapes.ellipsoid(level=4)
+    ops = bt.operators(mesh)
+    cold = bt.eigenpairs(ops, 12)
+    near = bt.operators(bt.TriangleMesh(mesh.vertices * [1.0, 1.01, 1.0], mesh.faces))
+    warm = bt.eigenpairs(near, 12, start=cold.functions)
+    assert np.allclose(warm.values, bt.eigenpairs(near, 12).values, rtol=1e-9, atol=1e-9)
+    assert warm.iterations < cold.iterations
+
+
+def test_vertices_of_no_triangle_take_no_part():
+    mesh = bt.shapes.sphere(2)
+    more = bt.TriangleMesh(np.vstack([[[9.0, 9.0, 9.0]], mesh.vertices]), mesh.faces + 1)
+    a, b = bt.eigenpairs(mesh, 5), bt.eigenpairs(more, 5)
+    assert np.allclose(a.values, b.values, rtol=0, atol=1e-12)
+    assert (b.functions[0] == 0).all()
+
+
+def test_the_same_bits_for_any_threads():
+    before, found = bt.num_threads(), []
+    ops = bt.operators(bt.shapes.sphere(4))
+    try:
+        for count in (1, 2, 3):
+            bt.set_num_threads(count)
+            e = bt.eigenpairs(ops, 9)
+            found.append(e.values.tobytes() + e.functions.tobytes())
+    finally:
+        bt.set_num_threads(before)
+    assert found[0] == found[1] == found[2]
+
+
+def test_progress_stops():
+    with pytest.raises(bt.Cancelled):
+        bt.eigenpairs(bt.shapes.sphere(6), 150, progress=lambda share: False)
+
+
+@pytest.mark.parametrize("k", [0, -3, 13, 2.5, "4", None, True])
+def test_bad_counts(k):
+    with pytest.raises(bt.InputError):
+        bt.eigenpairs(bt.shapes.sphere(0), k)
+
+
+def test_bad_input():
+    mesh = bt.shapes.sphere(1)
+    with pytest.raises(bt.InputError, match="mass= goes with a matrix"):
+        bt.eigenpairs(mesh, 3, mass=np.ones(42))
+    with pytest.raises(bt.InputError, match="start"):
+        bt.eigenpairs(mesh, 3, start=np.ones((5, 2)))
+    with pytest.raises(bt.InputError, match="mass"):
+        bt.eigenpairs(sparse.eye_array(4), 2, mass=[1, 1, -1, 1])
+    with pytest.raises(bt.Error):
+        bt.eigenpairs(bt.shapes.sphere(4), 3, shift=5.0)
