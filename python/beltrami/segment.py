@@ -31,7 +31,9 @@ TotalVariation = Literal["isotropic", "edge"]
 
 RELAXATION = 1.8  # of 1 to 2; 1.9 and 1 take more sweeps
 CHECK = 10  # sweeps between two certificates
+STRENGTH = 3.0  # most that the nodes' penalty may exceed the image's pull
 BALANCE = 50  # sweeps after which the penalty may be changed
+PENALTY = 0.5  # of denoising, for an image of range 1
 
 
 # --- what both methods stand on ----------------------------------------------------------------------------------------------------
@@ -443,7 +445,9 @@ class _Segmenter:
             self.split = [np.zeros(shape), np.zeros(shape), z, np.zeros_like(z)]
         w, p, z, y = self.split  # splits of the gradient and of phi, each with its multiplier
         phi, right, flux = z.copy(), np.zeros_like(z), np.zeros_like(z)
-        penalty = self.penalty
+        # A weak image moves phi slowly against a strong penalty.
+        strength = float(np.sqrt((mass * np.square(cost)).sum() / channels))
+        penalty = self.penalty * min(1.0, STRENGTH * strength / (self.penalty * ratio))
         tv = lambda values: radius * elements.total_variation(values, False)  # noqa: E731
 
         def restart() -> None:
@@ -486,7 +490,7 @@ class _Segmenter:
                 if factor != 1.0:
                     penalty *= factor
                     restart()
-        self.means, self.penalty = means, penalty
+        self.means = means
         return self._result(found, means, cost, history, sweep, converged, fidelity, radius, p)
 
     def _result(
@@ -912,7 +916,7 @@ def denoise(
     loose = surface.mass == 0  # they keep their values
     pull = weight * surface.mass * known + loose * (weight / surface.count)
     elements, channels = surface.elements, data.shape[1]
-    penalty = 0.2
+    penalty = PENALTY
     shape_of = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if tv == "isotropic" else 1))
     w, p = np.zeros(shape_of), np.zeros(shape_of)
     u, right, flux = np.zeros_like(target), np.zeros_like(target), np.zeros_like(target)
