@@ -22,6 +22,7 @@ from .errors import (
 )
 from .files import load, save
 from .geodesic import HeatMethod, geodesic_distance
+from .moebius import Moebius
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
 from .sampling import farthest_points, poisson_disc
@@ -29,6 +30,7 @@ from .segment import DenoisingResult, SegmentationResult, contours, denoise, seg
 from .shapes import PointCloud, TriangleMesh
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 from .solvers import Cholesky, PoissonSolver, solve_poisson
+from .spherical import SphericalHarmonics, SurfaceMap
 from .view import Page, Picture, plot
 
 __version__ = "0.1.0"
@@ -46,6 +48,7 @@ __all__ = [
     "HeatMethod",
     "InputError",
     "InternalError",
+    "Moebius",
     "NumericalError",
     "Operators",
     "Page",
@@ -55,7 +58,9 @@ __all__ = [
     "RayHitsResult",
     "RotationInvariantSlicedWassersteinResult",
     "SegmentationResult",
+    "SphericalHarmonics",
     "SphericalMapResult",
+    "SurfaceMap",
     "TopologyError",
     "TriangleMesh",
     "__version__",

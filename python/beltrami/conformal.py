@@ -8,20 +8,25 @@ is returned has its area-weighted centre at the origin.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sparse
 
-from . import arrays
-from .arrays import Floats
+from . import arrays, spherical
+from .arrays import Floats, Ints
 from .errors import Cancelled, InputError, NumericalError, TopologyError
+from .moebius import Moebius
 from .operators import Operators, operators
 from .progress import Progress, reporter
-from .shapes import Shape, TriangleMesh
+from .shapes import PointCloud, Shape, TriangleMesh
 from .solvers import Cholesky, plus_diagonal
+from .view import Page, Picture, plot
 
 Faces = npt.NDArray[np.int64]
 
@@ -57,6 +62,8 @@ class SphericalMapResult:
         ``move`` (root mean square move of each step) and ``excess`` (E - A before each step).
     notes : tuple of str
         What is worth knowing about how the map was found.
+    faces : ndarray (m, 3) of int32
+        The triangles of the map: those of the mesh, turned outwards where they looked inwards; of a cloud its simplices.
     """
 
     shape: Shape
@@ -71,6 +78,7 @@ class SphericalMapResult:
     converged: bool
     history: dict[str, Floats]
     notes: tuple[str, ...] = ()
+    faces: Ints = field(default_factory=lambda: np.zeros((0, 3), np.int32))
 
     @property
     def excess(self) -> float:
@@ -82,6 +90,224 @@ class SphericalMapResult:
             f"SphericalMapResult({len(self.positions)} vertices, E - A = {self.excess:.4g}, mean angle error "
             f"{np.degrees(self.angle_error.mean()):.3g} degrees, {self.flipped} flipped)"
         )
+
+    @property
+    def _source(self) -> Floats:
+        return self.shape.points if isinstance(self.shape, PointCloud) else self.shape.vertices
+
+    @property
+    def sphere(self) -> TriangleMesh:
+        """The image as a mesh."""
+        return TriangleMesh(self.positions, self.faces)
+
+    @cached_property
+    def image_areas(self) -> Floats:
+        """Lumped areas of the image, (n,)."""
+        return _lumped(_corner_cotangents(self.positions, self.faces.astype(np.int64))[1], self.faces.astype(np.int64), len(self.positions))
+
+    def pull_back(self, values: Callable[[Floats], npt.ArrayLike] | npt.ArrayLike) -> Floats:
+        """A function on the sphere, at the vertices of the shape.
+
+        Parameters
+        ----------
+        values : callable or array_like (rows, columns) or (rows, columns, channels)
+            Of unit vectors (n, 3); or a longitude-latitude image (a texture): north in the first row, longitude 0 (+x) at the left.
+
+        Returns
+        -------
+        ndarray (n,) or (n, channels)
+
+        Examples
+        --------
+        >>> import beltrami as bt
+        >>> r = bt.spherical_map(bt.shapes.sphere(2))
+        >>> r.pull_back(lambda p: p[:, 2]).shape
+        (162,)
+        """
+        return spherical.on_sphere(values, self.positions)
+
+    def image(self, values: npt.ArrayLike | None = None, *, rows: int = 256, columns: int = 512) -> Floats:
+        """The longitude-latitude image of values at the vertices, (rows, columns, ...); without values that of the coordinates, a
+        geometry image.
+
+        Parameters
+        ----------
+        values : array_like (n,) or (n, c), optional
+        rows, columns : int
+
+        Returns
+        -------
+        ndarray (rows, columns) or (rows, columns, c)
+        """
+        given = np.asarray(self._source if values is None else values)
+        given = arrays.floats(given, "values", (len(self.positions), *([None] * (given.ndim - 1))))
+        rows, columns = arrays.whole(rows, "rows", 2), arrays.whole(columns, "columns", 2)
+        directions = spherical.grid_directions(rows, columns).reshape(-1, 3)
+        found = spherical.surface_map(directions, self.positions, self.faces, self._source).pull_back(given)
+        return found.reshape(rows, columns, *given.shape[1:])
+
+    def map_to(self, other: SphericalMapResult) -> spherical.SurfaceMap:
+        """The conformal map to another surface through the sphere. Align the two first: :meth:`aligned_to`.
+
+        Parameters
+        ----------
+        other : SphericalMapResult
+
+        Returns
+        -------
+        SurfaceMap
+            ``points`` are the images of this shape's vertices; ``pull_back`` brings values over.
+
+        Examples
+        --------
+        >>> import beltrami as bt
+        >>> fine, coarse = (bt.spherical_map(bt.shapes.ellipsoid(level=level)) for level in (3, 2))
+        >>> fine.aligned_to(coarse, fine.shape.vertices, coarse.shape.vertices).map_to(coarse).points.shape
+        (642, 3)
+        """
+        return spherical.surface_map(self.positions, other.positions, other.faces, other._source)
+
+    def turned(self, rotation: npt.ArrayLike) -> SphericalMapResult:
+        """The same map, its sphere turned by a (3, 3) rotation matrix: each position p becomes ``rotation @ p``."""
+        matrix = arrays.floats(rotation, "rotation", (3, 3))
+        if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-8 or np.linalg.det(matrix) < 0:
+            raise InputError("rotation is not orthogonal with determinant 1")
+        return replace(self, positions=_unit(self.positions @ matrix.T))
+
+    def moved(self, moebius: Moebius) -> SphericalMapResult:
+        """The map followed by a Möbius map of the sphere, with all that is measured on it measured again.
+
+        Raises
+        ------
+        NumericalError
+            What the map crowds together rounds away.
+        """
+        faces = self.faces.astype(np.int64)
+        weights = None
+        if isinstance(self.shape, PointCloud):
+            weights = operators(self.shape).votes / 3.0  # type: ignore[attr-defined]
+        vertices, size = _scaled(self._source)
+        surface = _Surface(vertices, faces, weights)
+        trace = _Trace(list(self.history["move"]), list(self.history["excess"]), self.converged)
+        folded = None if weights is None else np.zeros(len(faces), bool)
+        made = _certified(self.shape, surface, moebius(self.positions), size, trace, self.notes, folded)
+        return made if weights is None else replace(made, flipped=self.flipped)
+
+    def with_landmarks(self, vertices: npt.ArrayLike, directions: npt.ArrayLike) -> SphericalMapResult:
+        """The map that takes three vertices to three given directions exactly (the area-weighted centre is then no longer the origin).
+
+        Parameters
+        ----------
+        vertices : array_like (3,) of int
+        directions : array_like (3, 3)
+            Unit vectors: :attr:`positions` of another map's landmarks, for example.
+        """
+        picked = arrays.indices(vertices, "vertices", len(self.positions))
+        if len(picked) != 3:
+            raise InputError(f"vertices has {len(picked)} numbers; three landmarks fix a Möbius map")
+        return self.moved(Moebius.through(self.positions[picked], directions))
+
+    def aligned_to(
+        self, other: SphericalMapResult, values: npt.ArrayLike | None = None, other_values: npt.ArrayLike | None = None
+    ) -> SphericalMapResult:
+        """The same map, its sphere turned so that values on it correlate best with another map's.
+
+        Parameters
+        ----------
+        other : SphericalMapResult
+        values, other_values : array_like (n,) or (n, c), optional
+            At this shape's vertices and at the other's, e.g. sulcal depths; by default the logarithms of the conformal factors.
+
+        Returns
+        -------
+        SphericalMapResult
+
+        Notes
+        -----
+        4000 rotations spread evenly are tried on a sample of points, the best five are refined to 0.002 radians.
+        """
+        if (values is None) != (other_values is None):
+            raise InputError("give values of both maps, or of neither")
+        pairs = []
+        for result, given, name in ((self, values, "values"), (other, other_values, "other_values")):
+            array = np.log(result.conformal_factor.clip(1e-300)) if given is None else np.asarray(given)
+            pairs.append(arrays.floats(array, name, (len(result.positions), *([None] * (array.ndim - 1)))))
+        if pairs[0].shape[1:] != pairs[1].shape[1:]:
+            raise InputError(f"values have {pairs[0].shape[1:]} channels, other_values {pairs[1].shape[1:]}; they must be equal")
+        image = other.image(pairs[1], rows=90, columns=180)
+        return self.turned(spherical.best_rotation(self.positions, pairs[0], self.image_areas, image)[0])
+
+    def harmonics(self, degree: int = 15, values: npt.ArrayLike | None = None) -> spherical.SphericalHarmonics:
+        """Coefficients of the shape, or of values at its vertices, in spherical harmonics: least squares weighted by image areas.
+
+        Parameters
+        ----------
+        degree : int
+            From 0 to 100.
+        values : array_like (n,) or (n, c), optional
+            By default the coordinates of the vertices.
+
+        Raises
+        ------
+        InputError
+            There are fewer vertices than coefficients.
+
+        References
+        ----------
+        Brechbühler, Gerig and Kübler, Parametrization of closed surfaces for 3-D shape description, 1995.
+
+        Examples
+        --------
+        >>> import beltrami as bt
+        >>> r = bt.spherical_map(bt.shapes.ellipsoid(level=3))
+        >>> r.harmonics(7).error < 0.01
+        True
+        """
+        degree = arrays.whole(degree, "degree", 0, 100)
+        if (degree + 1) ** 2 > len(self.positions):
+            raise InputError(f"degree {degree} has {(degree + 1) ** 2} coefficients, the shape {len(self.positions)} vertices")
+        given = np.asarray(self._source if values is None else values)
+        given = arrays.floats(given, "values", (len(self.positions), *([None] * (given.ndim - 1))))
+        return spherical.fit_harmonics(self.positions, self.image_areas, given.reshape(len(given), -1), degree)
+
+    def plot(
+        self,
+        values: Any = "checkerboard",
+        *,
+        on: Literal["shape", "sphere"] = "shape",
+        path: str | os.PathLike[str] | None = None,
+        **options: Any,
+    ) -> Picture | Page:
+        """Paints the shape or the sphere.
+
+        Parameters
+        ----------
+        values : str or array_like
+            ``"checkerboard"``: squares of the sphere's Mercator projection, on which a conformal map leaves right angles;
+            ``"angle_error"`` (degrees); ``"conformal_factor"`` (its logarithm, base 10); or what :func:`beltrami.plot` takes.
+        on : {"shape", "sphere"}
+        path, **options
+            As for :func:`beltrami.plot`.
+        """
+        if on not in ("shape", "sphere"):
+            raise InputError(f"on is {on!r}; choose 'shape' or 'sphere'")
+        target: Any = self.sphere if on == "sphere" else self.shape
+        if isinstance(values, str):
+            if values == "checkerboard":
+                values = spherical.checkerboard(self.positions)
+                options = {"colormap": ["#27466b", "#f3e9d2"], "limits": (-0.02, 0.02), "color_bar": False, **options}
+            elif values == "angle_error":
+                error = np.degrees(self.angle_error)
+                share = np.repeat(1 / 3, self.faces.size)
+                count = np.bincount(self.faces.ravel(), share, len(self.positions)).clip(1e-300)
+                values = np.bincount(self.faces.ravel(), np.repeat(error / 3, 3), len(self.positions)) / count
+                options = {"label": "angle error (degrees)", "limits": (0.0, float(np.quantile(values, 0.98)) or 1.0), **options}
+            elif values == "conformal_factor":
+                values = np.log10(self.conformal_factor.clip(1e-300))
+                options = {"label": "log10 conformal factor", **options}
+            else:
+                raise InputError(f"values is {values!r}; choose 'checkerboard', 'angle_error' or 'conformal_factor', or give an array")
+        return plot(target, values, path=path, **options)
 
 
 # --- triangles ----------------------------------------------------------------------------------------------------------------------
@@ -129,11 +355,15 @@ def _lumped(areas: Floats, faces: Faces, count: int) -> Floats:
 
 
 class _Surface:
-    """A closed triangle mesh with faces that look outwards, and the two halves of E - A on it."""
+    """Triangles that carry a map, and E - A on them: a closed mesh whose faces look outwards, or the simplices of a cloud, each with
+    the weight of its votes and, for they have no orientation, with unsigned image areas."""
 
-    def __init__(self, vertices: Floats, faces: Faces) -> None:
+    def __init__(self, vertices: Floats, faces: Faces, weights: Floats | None = None) -> None:
         self.vertices, self.faces, self.count = vertices, faces, len(vertices)
+        self.weights = weights
         self.cotangents, self.areas = _corner_cotangents(vertices, faces)
+        if weights is not None:
+            self.cotangents, self.areas = self.cotangents * weights[:, None], self.areas * weights
         self.mass = _lumped(self.areas, faces, self.count)
         corners = faces.T.ravel()
         self._gather = sparse.csr_array((np.ones(len(corners)), (corners, np.arange(len(corners)))), (self.count, len(corners)))
@@ -144,8 +374,12 @@ class _Surface:
         e = (r - q, p - r, q - p)
         energy = 0.25 * sum(float((self.cotangents[:, k] * (e[k] * e[k]).sum(1)).sum()) for k in range(3))
         cross = np.cross(e[2], -e[1])
-        area = 0.5 * float((np.linalg.norm(cross, axis=1) * np.sign((p * cross).sum(1))).sum())
+        area = 0.5 * float((np.linalg.norm(cross, axis=1) * self._signs((p * cross).sum(1))).sum())
         return energy, area
+
+    def _signs(self, determinants: Floats) -> Floats:
+        found: Floats = np.sign(determinants) if self.weights is None else self.weights
+        return found
 
     def gradient(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """Gradient of E - A (n, 3), face by face from edge differences; lumped image areas; E - A of each face."""
@@ -153,14 +387,22 @@ class _Surface:
         e = (r - q, p - r, q - p)
         cross = np.cross(e[2], -e[1])
         double = np.linalg.norm(cross, axis=1)
-        sign = np.sign((p * cross).sum(1))
+        sign = self._signs((p * cross).sum(1))
         normal = cross * np.divide(0.5 * sign, double, out=np.zeros_like(double), where=double > 0)[:, None]
         w = [0.5 * self.cotangents[:, k, None] * e[k] for k in range(3)]
         # Corner k is the end of edge k + 1 and the start of edge k + 2 (edge k lies opposite to it).
         parts = [w[(k + 1) % 3] - w[(k + 2) % 3] - np.cross(normal, e[k]) for k in range(3)]
         gradient: Floats = self._gather @ np.concatenate(parts)
         excess = 0.25 * sum(self.cotangents[:, k] * (e[k] * e[k]).sum(1) for k in range(3)) - 0.5 * sign * double
-        return gradient, _lumped(0.5 * double, self.faces, self.count), excess
+        shown = 0.5 * double if self.weights is None else 0.5 * double * self.weights
+        return gradient, _lumped(shown, self.faces, self.count), excess
+
+    def regularize(self) -> None:
+        """Degenerate triangles count as equilateral ones of hardly any area, so that the repair can deal with them."""
+        bad = ~np.isfinite(self.cotangents).all(1) | (self.areas <= 0)
+        self.cotangents[bad] = np.sqrt(1 / 3)
+        self.areas[bad] = max(1e-9 * float(self.areas.mean()), 1e-300)
+        self.mass = _lumped(self.areas, self.faces, self.count)
 
     def flipped(self, s: Floats) -> npt.NDArray[np.bool_]:
         """Which triangles are turned over, or have no area."""
@@ -184,12 +426,13 @@ def _translated(s: Floats, c: Floats) -> Floats:
     return _unit(d * ((1 - c @ c) / (d * d).sum(1))[:, None] + c)
 
 
-def _centred(s: Floats, mass: Floats, steps: int = 100) -> Floats:
-    """The Möbius image whose mean, weighted by the mass, is zero (Baden, Crane and Kazhdan 2018): Newton's method with short steps."""
+def centring_steps(s: Floats, mass: Floats, most: int = 100) -> tuple[list[Floats], Floats]:
+    """Translations whose product makes the mean, weighted by the mass, zero (Baden, Crane and Kazhdan 2018), and the centred points."""
     weights = mass / mass.sum()
     mean = weights @ s
     best = float(np.linalg.norm(mean))
-    for _ in range(steps):
+    steps: list[Floats] = []
+    for _ in range(most):
         if best < 3e-16:
             break
         jacobian = 2 * (np.eye(3) - (s * weights[:, None]).T @ s)
@@ -207,9 +450,14 @@ def _centred(s: Floats, mass: Floats, steps: int = 100) -> Floats:
             break
         done = best < 1e-13 and size > 0.25 * best
         s, mean, best = moved, mean_moved, size
+        steps.append(c)
         if done:
             break
-    return s
+    return steps, s
+
+
+def _centred(s: Floats, mass: Floats) -> Floats:
+    return centring_steps(s, mass)[1]
 
 
 # --- the fast route -----------------------------------------------------------------------------------------------------------------
@@ -226,6 +474,8 @@ def _start(surface: _Surface, solve: Callable[[Floats], Floats]) -> Floats:
     corners = v[f]
     sides = ((corners - corners[:, [1, 2, 0]]) ** 2).sum((1, 2))
     shapely = np.divide(surface.areas, sides, out=np.zeros_like(sides), where=sides > 0)
+    if surface.weights is not None:
+        shapely = np.where(surface.weights == 1, shapely, 0.0)  # all three stars agree on it
     good = shapely >= 0.9 * np.quantile(shapely, 0.98)
     pole = int(np.flatnonzero(good)[np.argmax(surface.areas[good])])
     a, b, c = v[f[pole]]
@@ -242,7 +492,7 @@ def _start(surface: _Surface, solve: Callable[[Floats], Floats]) -> Floats:
     z = z / np.median(np.sqrt((z * z).sum(1)))
     square = (z * z).sum(1)
     s = np.column_stack([2 * z, square - 1]) / (1 + square)[:, None]
-    if np.sign(_determinants(s, f)).sum() < 0:
+    if surface.weights is None and np.sign(_determinants(s, f)).sum() < 0:
         s[:, 1] *= -1
     return _unit(s)
 
@@ -305,6 +555,75 @@ def _descend(
         if move < tolerance:
             trace.converged = True
             break
+    return s, trace
+
+
+# --- the chapter's iteration --------------------------------------------------------------------------------------------------------
+
+
+def _cayley_step(s: Floats, h: Floats, tau: float) -> Floats:
+    """(I + τ/2 A)^-1 (I - τ/2 A) s with A = h s^T - s h^T (8.28): A has rank two, so a turn in the plane of s and h. h is tangential."""
+    square = (0.25 * tau * tau * (h * h).sum(1))[:, None]
+    return _unit(((1 - square) * s - tau * h) / (1 + square))
+
+
+def _cayley(
+    surface: _Surface,
+    metric: Callable[[Floats], Floats] | None,
+    stiffness: sparse.csr_array,
+    s: Floats,
+    tolerance: float,
+    steps: int,
+    report: Callable[[float], object],
+) -> tuple[Floats, _Trace]:
+    """Cayley steps of Barzilai-Borwein length with a nonmonotone line search (Wen and Yin 2013).
+
+    The direction is the gradient of E - A by unit mass, or with ``metric`` L^-1 of the gradient; its part along Möbius maps is taken
+    off, so that the centre stays.
+    """
+    mass = surface.mass * (4 * np.pi / surface.mass.sum())
+
+    def evaluate(s: Floats) -> tuple[float, Floats, Floats]:
+        g, areas, excess = surface.gradient(s)
+        g = _tangential(g, s)
+        moebius = np.eye(3) * mass.sum() - (s * mass[:, None]).T @ s
+        if metric is None:
+            h = g / mass[:, None]
+        else:
+            share = (areas / areas.sum())[:, None]
+            h = metric(g - share * g.sum(0))
+            h = _tangential(h - (share * h).sum(0), s)
+        h = h - _tangential(np.broadcast_to(np.linalg.solve(moebius, mass @ h), s.shape), s)
+        return float(excess.sum()), g, h
+
+    trace = _Trace()
+    value, g, h = evaluate(s)
+    reference, count, tau = value, 1.0, 1.0 if metric is not None else float((mass / np.maximum(stiffness.diagonal(), 1e-300)).min())
+    for step in range(steps):
+        residual = float(np.sqrt(mass @ (h * h).sum(1) / mass.sum()))
+        trace.move.append(residual)
+        trace.excess.append(value)
+        report((step + 1) / steps)
+        if residual < tolerance:
+            trace.converged = True
+            break
+        slope = float((g * h).sum())
+        for _ in range(40):
+            new = _centred(_cayley_step(s, h, tau), surface.mass)
+            new_value, new_g, new_h = evaluate(new)
+            if new_value <= reference - 1e-4 * tau * slope + 1e-14 * abs(reference):
+                break
+            tau *= 0.2
+        else:
+            break
+        ds, dh = new - s, new_h - h
+        weighted = mass[:, None] * ds if metric is None else stiffness @ ds
+        weighted_h = mass[:, None] * dh if metric is None else stiffness @ dh
+        ss, sy, yy = float((ds * weighted).sum()), abs(float((ds * weighted_h).sum())), float((dh * weighted_h).sum())
+        tau = ss / max(sy, 1e-300) if step % 2 else sy / max(yy, 1e-300)
+        tau = min(max(tau, 1e-12), 1e6)
+        s, value, g, h = new, new_value, new_g, new_h
+        reference, count = (0.85 * count * reference + value) / (0.85 * count + 1), 0.85 * count + 1
     return s, trace
 
 
@@ -372,22 +691,22 @@ class _Patch:
         length = np.sqrt(((x[a] - x[b]) ** 2).sum(1))
         total = np.bincount(a, length, len(x)) + np.bincount(b, length, len(x))
         mean = total / (np.bincount(a, minlength=len(x)) + np.bincount(b, minlength=len(x)))
-        found: Floats = np.maximum(0.43 * mean[self.faces].mean(1) ** 2, 1e-300)
+        found: Floats = np.maximum(0.43 * mean[self.faces].mean(1) ** 2, 1e-24)
         return found
 
     def objective(self, z: Floats, epsilon: Floats) -> tuple[float, Floats, Floats]:
         """Sum of a_T E_T / χ(d_T), its gradient at the free vertices, and the d_T."""
         x, energy, d, e = self.measure(z)
         root = np.sqrt(epsilon**2 + d * d)
-        chi = np.where(d > 0, 0.5 * (d + root), 0.5 * epsilon**2 / np.maximum(root - d, 1e-300))
+        chi = np.maximum(np.where(d > 0, 0.5 * (d + root), 0.5 * epsilon**2 / np.maximum(root - d, 1e-300)), 1e-150)
         value = float((self.shares * energy / chi).sum())
         by_energy = (0.5 * self.shares / chi)[:, None]
-        by_determinant = (-self.shares * energy / chi**2 * (chi / root))[:, None]
+        by_determinant = (-self.shares * energy / chi / root)[:, None]
         w = [by_energy * self.cotangents[:, k, None] * e[k] for k in range(3)]
         p = self.centre + self.scale * x[self.faces[:, 0]]
         gradient = np.zeros_like(x)
-        area = [None, 0.5 * np.cross(-e[1], p), 0.5 * np.cross(p, e[2])]
-        area[0] = 0.5 * self.scale * np.cross(e[2], -e[1]) - area[1] - area[2]
+        by_q, by_r = 0.5 * np.cross(-e[1], p), 0.5 * np.cross(p, e[2])
+        area = [0.5 * self.scale * np.cross(e[2], -e[1]) - by_q - by_r, by_q, by_r]
         for k in range(3):
             here = w[(k + 1) % 3] - w[(k + 2) % 3] + by_determinant * area[k]
             for axis in range(3):
@@ -486,17 +805,33 @@ class _Patch:
         return moved
 
     def untangle(self) -> bool:
+        with np.errstate(all="ignore"):  # what overflows is refused by the line search
+            return self._untangle()
+
+    def _untangle(self) -> bool:
         """Minimizes Σ a_T E_T / χ with ε that falls as the flips vanish (Garanzha et al. 2021), then with hardly any ε."""
+        fewest, stalled = (int((self.measure(self.z)[2] <= 0).sum()), self.z), 0
         for _sweep in range(15):
+            if fewest[0] == 0 or stalled == 4:
+                break
             sizes = self.sizes(self.z)
             for floor, share in ((1e-4, 0.25), (1e-6, 0.04)):
                 least = float((self.measure(self.z)[2] / sizes).min())
                 self._minimize(np.sqrt(floor + share * min(least, 0.0) ** 2) * sizes, 60, guard=False)
-            if (self.measure(self.z)[2] > 0).all():
-                break
-        else:
+            flips = int((self.measure(self.z)[2] <= 0).sum())
+            stalled = 0 if flips < fewest[0] else stalled + 1
+            if flips < fewest[0]:
+                fewest = flips, self.z
+        self.z = fewest[1]
+        if (self.measure(self.z)[2] <= 0).any():
             return False
-        self._minimize(1e-9 * self.sizes(self.z), 60, guard=True)
+        for share in (1e-2, 1e-4, 1e-9):
+            self._minimize(share * self.sizes(self.z), 60, guard=True)
+        # Weighted by the areas of the image, Σ a_T (E_T / d_T - 1) is E - A: nothing else that the patch costs is left.
+        d = self.measure(self.z)[2]
+        self.shares = np.maximum(d, 1e-3 * d.mean())
+        self.shares /= self.shares.sum()
+        self._minimize(1e-9 * self.sizes(self.z), 120, guard=True)
         return True
 
     def place(self, s: Floats) -> None:
@@ -583,7 +918,8 @@ def _sphere_mesh(mesh: TriangleMesh) -> Faces:
         loops = mesh.boundary_loops
         holes = "hole" if loops == 1 else "holes"
         raise TopologyError(
-            f"the mesh is not closed: {loops} {holes}; {facts}, a sphere has 2. Fill the holes first"
+            f"the mesh is not closed: {loops} {holes}; {facts}, a sphere has 2. spherical_map(mesh, "
+            "fill_holes=True) closes them for the map"
         )
     if euler != 2 or not mesh.is_orientable:
         what = f"genus {mesh.genus}" if mesh.is_orientable else "only one side"
@@ -621,26 +957,38 @@ def _solver(stiffness: sparse.csr_array, coordinates: Floats, progress: Progress
     return Cholesky(plus_diagonal(stiffness, spring), coordinates, progress=progress).solve
 
 
+Method = Literal["fast", "cayley", "preconditioned_cayley"]
+
+
 def spherical_map(
     shape: Shape | Operators,
     *,
+    method: Method = "fast",
     tolerance: float = 1e-4,
-    max_iterations: int = 20,
+    max_iterations: int | None = None,
+    fill_holes: bool = False,
     progress: Progress = None,
 ) -> SphericalMapResult:
     """Maps a closed surface of genus 0 conformally to the unit sphere.
 
     Minimizes E - A, Dirichlet energy less signed image area, among the maps whose area-weighted centre is the origin: a linear map
-    to start from, descent preconditioned by one Cholesky factorization with Anderson acceleration, and a repair of the triangles
-    that are still turned over.
+    to start from, an iteration, and a repair of the triangles that are still turned over.
 
     Parameters
     ----------
-    shape : TriangleMesh or Operators
-        Closed, connected, manifold, of genus 0. The orientation is kept: seen from outside, the image is not mirrored.
+    shape : TriangleMesh, PointCloud or Operators
+        Closed, connected, manifold, of genus 0; of a cloud that is presumed, and checked by what comes out. The orientation is kept:
+        seen from outside, the image is not mirrored. Of Operators the shape is taken.
+    method : {"fast", "cayley", "preconditioned_cayley"}
+        ``"fast"``: descent preconditioned by one Cholesky factorization, with Anderson acceleration: a handful of steps.
+        ``"cayley"``: the iteration of equation 8.28, Cayley steps of Barzilai-Borwein length along the gradient by unit mass, with a
+        nonmonotone line search; hundreds of steps. ``"preconditioned_cayley"``: the same along L^-1 of the gradient.
     tolerance : float
-        Root mean square move of a step, in radii of the sphere, at which to stop.
-    max_iterations : int
+        Root mean square move of a step (``"cayley"``: of the gradient, on a sphere of area 4π), in radii, at which to stop.
+    max_iterations : int, optional
+        20; 5000 and 200 for the Cayley iterations.
+    fill_holes : bool
+        Close the holes of a mesh with rings of triangles for the map only; the result is that of the mesh itself.
     progress : callable or True, optional
 
     Returns
@@ -657,6 +1005,7 @@ def spherical_map(
     References
     ----------
     Lai, Wen, Yin, Gu and Lui, Folding-free global conformal mapping for genus-0 surfaces by harmonic energy minimization, 2014.
+    Wen and Yin, A feasible method for optimization with orthogonality constraints, 2013.
     Baden, Crane and Kazhdan, Möbius registration, 2018.
 
     Examples
@@ -666,91 +1015,225 @@ def spherical_map(
     >>> r.flipped, r.excess < 0.02
     (0, True)
     """
+    if method not in _STEPS:
+        raise InputError(f"method is {method!r}; choose one of {', '.join(map(repr, _STEPS))}")
     tolerance = arrays.number(tolerance, "tolerance", above=0)
-    max_iterations = arrays.whole(max_iterations, "max_iterations", 1)
-    if isinstance(shape, Operators):
-        shape = shape.shape
-    if not isinstance(shape, TriangleMesh):
-        raise InputError(f"shape is a {type(shape).__name__}; a TriangleMesh is needed")
-    return _map_mesh(shape, tolerance, max_iterations, _reporting(progress))
+    steps = _STEPS[method] if max_iterations is None else arrays.whole(max_iterations, "max_iterations", 1)
+    task = _Task(method, tolerance, steps, _reporting(progress))
+    given = shape.shape if isinstance(shape, Operators) else shape
+    if isinstance(given, TriangleMesh):
+        return _map_mesh(given, bool(fill_holes), task)
+    if isinstance(given, PointCloud):
+        if fill_holes:
+            raise InputError("fill_holes=True is for meshes; a cloud has no holes to fill")
+        return _map_cloud(given, shape if isinstance(shape, Operators) else None, task)
+    raise InputError(f"shape is a {type(shape).__name__}; a TriangleMesh, a PointCloud or Operators is needed (bt.load makes them)")
 
 
-def _map_mesh(mesh: TriangleMesh, tolerance: float, steps: int, report: Callable[[float], None]) -> SphericalMapResult:
-    faces = _sphere_mesh(mesh)
-    vertices, size = _scaled(mesh.vertices)
+_STEPS = {"fast": 20, "cayley": 5000, "preconditioned_cayley": 200}
+
+
+@dataclass(frozen=True)
+class _Task:
+    method: str
+    tolerance: float
+    steps: int
+    report: Callable[[float], None]
+
+    def iterate(self, surface: _Surface, stiffness: sparse.csr_array, *, energy_only: bool = False) -> tuple[Floats, _Trace]:
+        """Factors, makes the start, iterates."""
+
+        def gradient(s: Floats) -> tuple[Floats, Floats, float]:
+            g, areas, excess = surface.gradient(s)
+            return (stiffness @ s if energy_only else g), areas, float(excess.sum())
+
+        def later(share: float) -> None:
+            self.report(0.4 + 0.5 * share)
+
+        solve = _solver(stiffness, surface.vertices, lambda share: self.report(0.4 * share))
+        s = _centred(_start(surface, solve), surface.mass)
+        if self.method == "fast" or energy_only:
+            return _descend(surface, solve, gradient, s, self.tolerance, self.steps, later)
+        return _cayley(surface, None if self.method == "cayley" else solve, stiffness, s, self.tolerance, self.steps, later)
+
+
+def _filled(mesh: TriangleMesh) -> tuple[Floats, Faces]:
+    """The mesh with a cap on each boundary loop: rings that shrink to the loop's centre, and a fan. The mesh's own come first."""
+    vertices, faces = [mesh.vertices], [mesh.faces.astype(np.int64)]
+    count = len(mesh.vertices)
+    heads = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]).astype(np.int64)
+    directed = set((heads[:, 0] * count + heads[:, 1]).tolist())
+    for loop in mesh.boundary_loop_vertices:
+        ring = np.asarray(loop, np.int64)
+        if int(ring[0]) * count + int(ring[1]) in directed:
+            ring = ring[::-1]  # the cap runs against the triangles beside it
+        corners = mesh.vertices[ring]
+        centre, k = corners.mean(0), len(ring)
+        ratio = 1 - 2 * np.pi / max(k, 12)  # triangles about as high as wide
+        share, next_index = 1.0, count + sum(len(v) for v in vertices[1:])
+        while k > 12 and share * ratio > 12 / k and share > 0.02:
+            share *= ratio
+            inner = np.arange(next_index, next_index + k)
+            vertices.append(centre + share * (corners - centre))
+            a, b, c, d = ring, np.roll(ring, -1), inner, np.roll(inner, -1)
+            faces += [np.stack([a, b, d], 1), np.stack([a, d, c], 1)]
+            ring, next_index = inner, next_index + k
+        vertices.append(centre[None])
+        faces.append(np.stack([ring, np.roll(ring, -1), np.full(k, next_index)], 1))
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult:
+    notes: list[str] = []
+    source = mesh if mesh.is_oriented or not mesh.is_orientable or not mesh.is_manifold else mesh.oriented()
+    whole = source
+    if fill and mesh.is_manifold and mesh.boundary_loops:
+        points, triangles = _filled(source)
+        whole = TriangleMesh(points, triangles.astype(np.int32))
+        notes.append(f"{mesh.boundary_loops} holes were filled for the map")
+    faces = _sphere_mesh(whole)
+    vertices, size = _scaled(whole.vertices)
     if vertices.shape[1] == 3:
         p = vertices[faces[:, 0]]
         volume = float(np.einsum("ij,ij->", p, np.cross(vertices[faces[:, 1]], vertices[faces[:, 2]])))
         if volume < 0:
             faces = np.ascontiguousarray(faces[:, [0, 2, 1]])
     surface = _Surface(vertices, faces)
-    notes: list[str] = []
     work = TriangleMesh(vertices, faces.astype(np.int32))
     found: list[tuple[Floats, _Trace]] = []
     try:
-        stiffness = operators(work, laplacian="cotangent").stiffness
-        solve = _solver(stiffness, vertices, lambda share: report(0.4 * share))
-
-        def gradient(s: Floats) -> tuple[Floats, Floats, float]:
-            g, areas, excess = surface.gradient(s)
-            return g, areas, float(excess.sum())
-
-        start = _centred(_start(surface, solve), surface.mass)
-        found.append(_descend(surface, solve, gradient, start, tolerance, steps, lambda share: report(0.4 + 0.5 * share)))
+        found.append(task.iterate(surface, operators(work, laplacian="cotangent").stiffness))
     except (InputError, NumericalError) as error:
         notes.append(f"cotangents cannot be used ({error}); intrinsic Delaunay weights instead")
+        surface.regularize()
     if not found or surface.flipped(found[0][0]).sum() > 0.01 * len(faces):
-        ops = operators(work, laplacian="intrinsic_delaunay")
-        solve = _solver(ops.stiffness, vertices, None)
-
-        def gradient_of_energy(s: Floats) -> tuple[Floats, Floats, float]:
-            g = ops.stiffness @ s
-            p, q, r = (s[faces[:, k]] for k in range(3))
-            areas = 0.5 * np.linalg.norm(np.cross(q - p, r - p), axis=1)
-            return g, _lumped(areas, faces, len(s)), float(0.5 * (s * g).sum() - areas.sum())
-
-        start = _centred(_start(surface, solve), surface.mass)
-        found.append(_descend(surface, solve, gradient_of_energy, start, tolerance, steps, lambda share: report(0.9)))
+        found.append(task.iterate(surface, operators(work, laplacian="intrinsic_delaunay").stiffness, energy_only=True))
         if len(found) == 2:
             notes.append("more than 1 % of the triangles were flipped, so the map was made again with intrinsic Delaunay weights")
     s, trace = min(found, key=lambda one: int(surface.flipped(one[0]).sum()))
     before = int(surface.flipped(s).sum())
     if before:
-        excess = np.subtract(*surface.energy_and_area(s))
-        s = _centred(_repair(surface, s, 8, lambda share: report(0.9 + 0.1 * share)), surface.mass)
         energy, area = surface.energy_and_area(s)
-        notes.append(f"{before} flipped triangles were repaired: E - A {excess:.4g} before, {energy - area:.4g} after")
-    report(1.0)
+        s = _centred(_repair(surface, s, 8, lambda share: task.report(0.9 + 0.1 * share)), surface.mass)
+        excess, after = energy - area, float(np.subtract(*surface.energy_and_area(s)))
+        heavy = ", at the price of larger changes of angle there" if after > 1.2 * excess + 1e-3 else ""
+        notes.append(f"{before} flipped triangles were repaired: E - A {excess:.4g} before, {after:.4g} after{heavy}")
+    if whole is not source:
+        own = surface.faces[: len(mesh.faces)]
+        surface = _Surface(vertices[: len(mesh.vertices)], own)
+        s = _centred(s[: len(mesh.vertices)], surface.mass)
+    task.report(1.0)
     return _certified(mesh, surface, s, size, trace, tuple(notes))
 
 
-def _certified(mesh: TriangleMesh, surface: _Surface, s: Floats, size: float, trace: _Trace, notes: tuple[str, ...]) -> SphericalMapResult:
+def _map_cloud(cloud: PointCloud, given: Operators | None, task: _Task) -> SphericalMapResult:
+    from .clouds import CloudOperators
+
+    if cloud.dimension != 2:
+        raise InputError(f"the cloud has dimension {cloud.dimension}; a surface (dimension 2) is needed")
+    ops = given if isinstance(given, CloudOperators) else operators(cloud)
+    if not isinstance(ops, CloudOperators):
+        raise InputError("these operators have no simplices; bt.operators(cloud) makes them")
+    components = int(ops.component_labels.max()) + 1
+    faces = ops.simplices.astype(np.int64)
+    sure = ops.votes == 3
+    euler = _euler(faces[sure])
+    facts = f"the triangles that all their corners' stars hold have Euler characteristic {euler}, a sphere has 2"
+    if components > 1:
+        raise TopologyError(f"the cloud falls into {components} components; {facts}. Map each alone")
+    open_share = float(ops.boundary.mean())
+    if open_share > 0.05:
+        raise TopologyError(f"{100 * open_share:.0f} % of the points lie on a boundary; {facts}. A closed surface is needed")
+    vertices, size = _scaled(cloud.points)
+    surface = _Surface(vertices, faces, ops.votes / 3.0)
+    s, trace = task.iterate(surface, ops.stiffness)
+    # Each simplex is oriented as its image is; the volume within tells inside from outside.
+    turned = np.where(_determinants(s, faces) < 0, -1.0, 1.0)
+    if vertices.shape[1] == 3:
+        p, q, r = (vertices[faces[:, k]] for k in range(3))
+        if float((turned * ops.votes * (p * np.cross(q, r)).sum(1)).sum()) < 0:
+            s = _centred(s * [1.0, 1.0, -1.0], surface.mass)
+            turned = -turned
+    energy, area = surface.energy_and_area(s)
+    degree = float(np.abs(_solid_angles(s, faces)) @ surface.weights) / (4 * np.pi) if surface.weights is not None else 1.0
+    if energy - area > 0.5 * area or not 0.5 < degree < 1.5:
+        raise TopologyError(
+            f"the best map to the sphere covers it {degree:.2f} times with E - A = {energy - area:.3g} of area {area:.3g}; {facts}. "
+            "A cloud of a sphere-like surface is needed, with points denser than its sheets are apart"
+        )
+    wrong = _folded(ops, faces, turned)
+    task.report(1.0)
+    return _certified(cloud, surface, s, size, trace, (f"{facts}",) if euler != 2 else (), wrong)
+
+
+def _euler(faces: Faces) -> int:
+    """Vertices less edges plus triangles."""
+    if len(faces) == 0:
+        return 0
+    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    keys = pairs[:, 0] * (int(faces.max()) + 1) + pairs[:, 1]
+    return len(np.unique(faces)) - len(np.unique(keys)) + len(faces)
+
+
+def _solid_angles(s: Floats, faces: Faces) -> Floats:
+    p, q, r = (s[faces[:, k]] for k in range(3))
+    found: Floats = 2 * np.arctan2(_determinants(s, faces), 1 + (p * q).sum(1) + (q * r).sum(1) + (r * p).sum(1))
+    return found
+
+
+def _folded(ops: Any, faces: Faces, turned: Floats) -> npt.NDArray[np.bool_]:
+    """Simplices, of those that all three stars hold, whose image is turned against most of its neighbours' around each corner."""
+    frames, points = ops.frames, ops.shape.points
+    against = np.zeros((len(faces), 3))
+    for k in range(3):
+        corner = faces[:, k]
+        e = [points[faces[:, (k + j) % 3]] - points[corner] for j in (1, 2)]
+        a, b = (np.einsum("tdj,tj->td", frames[corner], one) for one in e)
+        against[:, k] = np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) * turned
+    sense = np.sign(np.bincount(faces.ravel(), against.ravel(), len(points)))
+    votes = (against * sense[faces] < 0).sum(1)
+    found: npt.NDArray[np.bool_] = (ops.votes == 3) & (votes >= 2)
+    return found
+
+
+def _certified(
+    shape: Shape,
+    surface: _Surface,
+    s: Floats,
+    size: float,
+    trace: _Trace,
+    notes: tuple[str, ...],
+    folded: npt.NDArray[np.bool_] | None = None,
+) -> SphericalMapResult:
     """The result with what is measured on it; an error where what is flipped has rounded away."""
     faces = surface.faces
-    wrong = np.flatnonzero(surface.flipped(s))
-    if len(wrong):
+    wrong = np.flatnonzero(surface.flipped(s) if folded is None else folded)
+    if len(wrong) and folded is None:
         corners = s[faces[wrong]]
         extent = np.sqrt(((corners - corners[:, [1, 2, 0]]) ** 2).sum(2)).max(1)
         if (extent < 1e-13).any():
             lost = wrong[extent < 1e-13]
-            where = mesh.vertices[faces[lost].ravel()].mean(0)
+            where = surface.vertices[faces[lost].ravel()].mean(0)
             raise NumericalError(
-                f"the images of {len(lost)} triangles round away (they are below 1e-13 of the sphere), around triangle {lost[0]}, "
-                f"near ({', '.join(f'{x:.4g}' for x in where)}): a limb there is too long and thin for double precision; cut it off, "
+                f"the images of {len(lost)} triangles round away (they are below 1e-13 of the sphere), around triangle {lost[0]} "
+                f"(its first vertex is {faces[lost[0], 0]}; from the middle of the bounding box, over half its size: "
+                f"{', '.join(f'{x:.3g}' for x in where)}): a limb there is too long and thin for double precision; cut it off, "
                 "or thicken it"
             )
+    if len(wrong):
         notes += (f"{len(wrong)} triangles are still flipped, the first is {wrong[0]}",)
+    weights = np.ones(len(faces)) if surface.weights is None else surface.weights
     _, image = _corner_cotangents(s, faces)
-    lumped = _lumped(image, faces, surface.count)
+    lumped = _lumped(image * weights, faces, surface.count)
     energy, area = surface.energy_and_area(s)
     p, q, r = (s[faces[:, k]] for k in range(3))
     e = (r - q, p - r, q - p)
-    each = 0.25 * sum(surface.cotangents[:, k] * (e[k] * e[k]).sum(1) for k in range(3))
+    each = 0.25 * sum(surface.cotangents[:, k] * (e[k] * e[k]).sum(1) for k in range(3)) / weights
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.maximum(each / image, 1.0)
         dilatation = np.where(image > 0, ratio + np.sqrt(ratio * ratio - 1), np.inf)
     return SphericalMapResult(
-        mesh,
+        shape,
         s,
         lumped / surface.mass / size / size,
         energy,
@@ -759,7 +1242,8 @@ def _certified(mesh: TriangleMesh, surface: _Surface, s: Floats, size: float, tr
         np.abs(_corner_angles(s, faces) - _corner_angles(surface.vertices, faces)).mean(1),
         dilatation,
         len(trace.move),
-        trace.converged and not len(wrong),
+        trace.converged and (not len(wrong) or folded is not None),
         {"move": np.array(trace.move), "excess": np.array(trace.excess)},
         notes,
+        np.ascontiguousarray(faces, np.int32),
     )
