@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import beltrami as bt
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-import beltrami as bt
 from beltrami import spherical
 from beltrami.conformal import _Patch, _Surface
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 
 def rotation(seed: int) -> np.ndarray:
@@ -61,7 +60,8 @@ def test_spheroids_converge_to_the_exact_map_with_second_order() -> None:
 def test_spot_is_certified(spot: bt.SphericalMapResult) -> None:
     mesh = bt.examples.spot()
     mass = bt.operators(mesh).mass
-    assert spot.flipped == 0 and spot.converged
+    assert spot.flipped == 0
+    assert spot.converged
     assert np.abs(np.linalg.norm(spot.positions, axis=1) - 1).max() < 1e-14
     assert np.linalg.norm(mass @ spot.positions) < 1e-13 * mass.sum()
     # What other programs reach on this mesh after centring: 0.0528 (conformalized mean curvature flow), 0.0746 (LaPy).
@@ -71,7 +71,8 @@ def test_spot_is_certified(spot: bt.SphericalMapResult) -> None:
     image = spot.sphere
     assert spot.area == pytest.approx(image.area, rel=1e-12)
     assert np.allclose(spot.conformal_factor, bt.operators(image, laplacian="cotangent").mass / mass, rtol=1e-10)
-    assert (spot.dilatation >= 1).all() and np.isfinite(spot.dilatation).all()
+    assert (spot.dilatation >= 1).all()
+    assert np.isfinite(spot.dilatation).all()
     assert repr(spot).startswith("SphericalMapResult(2930 vertices")
 
 
@@ -93,7 +94,8 @@ def test_the_chapters_iteration_reaches_the_same_energy() -> None:
         for method in ("cayley", "preconditioned_cayley"):
             other = bt.spherical_map(mesh, method=method)
             # The residual 1e-4 leaves its square in the energy; the fixed points differ by as little.
-            assert other.converged and other.energy == pytest.approx(fast.energy, rel=1e-6)
+            assert other.converged
+            assert other.energy == pytest.approx(fast.energy, rel=1e-6)
         assert other.iterations < 20
 
 
@@ -132,7 +134,8 @@ def test_bumpy_spheres_map_without_flips(seed: int) -> None:
     mesh = bt.TriangleMesh(p * radius[:, None], sphere.faces)
     r = bt.spherical_map(mesh)
     mass = bt.operators(mesh).mass
-    assert r.flipped == 0 and r.excess >= 0
+    assert r.flipped == 0
+    assert r.excess >= 0
     assert np.linalg.norm(mass @ r.positions) < 1e-12 * mass.sum()
 
 
@@ -202,7 +205,8 @@ def test_what_is_no_sphere_is_refused_with_its_characteristic() -> None:
     for mesh, word, euler in ((torus, "genus 1", 0), (disc, "fill_holes", 1), (two, "largest_component", 4)):
         with pytest.raises(bt.TopologyError, match=f"(?s){word}|characteristic {euler}") as caught:
             bt.spherical_map(mesh)
-        assert word in str(caught.value) and f"characteristic {euler}," in str(caught.value)
+        assert word in str(caught.value)
+        assert f"characteristic {euler}," in str(caught.value)
     with pytest.raises(bt.TopologyError, match="manifold"):
         bt.spherical_map(bt.TriangleMesh(np.eye(5, 3), [[0, 1, 2], [0, 1, 3], [0, 1, 4]]))
     with pytest.raises(bt.TopologyError, match="no triangles"):
@@ -226,7 +230,8 @@ def test_holes_can_be_filled() -> None:
     opened = whole.submesh(kept)
     assert opened.boundary_loops == 1
     r = bt.spherical_map(opened, fill_holes=True)
-    assert r.flipped == 0 and len(r.positions) == len(kept)
+    assert r.flipped == 0
+    assert len(r.positions) == len(kept)
     assert len(r.angle_error) == len(opened.faces)
     assert np.degrees(r.angle_error.mean()) < 1.0  # inside, the map is conformal up to the mesh size
     mass = bt.operators(opened).mass
@@ -239,7 +244,8 @@ def test_degenerate_triangles_are_survived() -> None:
     a, b, c = sphere.faces[0]
     p[c] = 0.5 * (p[a] + p[b])  # a triangle without area
     r = bt.spherical_map(bt.TriangleMesh(p, sphere.faces))
-    assert np.isfinite(r.positions).all() and np.isfinite(r.energy)
+    assert np.isfinite(r.positions).all()
+    assert np.isfinite(r.energy)
     assert any("Delaunay" in note for note in r.notes)
 
 
@@ -307,18 +313,21 @@ def test_harmonics_are_orthonormal_and_describe_ellipsoids() -> None:
     gram = (basis * (mass * area / mass.sum())[:, None]).T @ basis
     assert np.abs(gram - np.eye(25)).max() < 3e-3  # quadrature of order h²
     x, y, z = directions.vertices.T
-    assert np.allclose(basis[:, 2], np.sqrt(3 / area) * z) and np.allclose(basis[:, 3], np.sqrt(3 / area) * x)
+    assert np.allclose(basis[:, 2], np.sqrt(3 / area) * z)
+    assert np.allclose(basis[:, 3], np.sqrt(3 / area) * x)
     assert np.allclose(basis[:, 4], np.sqrt(15 / area) * x * y)
     r = bt.spherical_map(bt.shapes.sphere(3))
     found = r.harmonics(3)
-    assert found.error < 1e-2 and found.power[1] == pytest.approx(found.power.sum(), rel=1e-3)
+    assert found.error < 1e-2
+    assert found.power[1] == pytest.approx(found.power.sum(), rel=1e-3)
     assert found([[0.0, 0, 1]]).shape == (1, 3)
 
 
 def test_plots(spot: bt.SphericalMapResult, tmp_path) -> None:
     for values in ("checkerboard", "angle_error", "conformal_factor", spot.angle_error):
         picture = spot.plot(values, on="sphere", size=(200, 150))
-        assert picture.pixels.shape == (150, 200, 3) and np.ptp(picture.pixels) > 100
+        assert picture.pixels.shape == (150, 200, 3)
+        assert np.ptp(picture.pixels) > 100
     assert spot.plot(path=tmp_path / "spot.png", size=(200, 150)).path.exists()
     with pytest.raises(bt.InputError):
         spot.plot("colour")
