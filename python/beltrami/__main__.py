@@ -296,6 +296,99 @@ def geodesic(options: Options) -> int:
     return DONE
 
 
+def _image_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    _look(parser)
+    _output(parser)
+    parser.add_argument("--values", help="the image: a field of the file, or a file of numbers, one (or one row) a vertex (its colours)")
+    parser.add_argument(
+        "--fidelity", type=float, help="weight of the image against length (30 over its variance for segment, 100 over its range)"
+    )
+    parser.add_argument("--tv", choices=("isotropic", "edge"), default="isotropic", help="total variation on triangles, or a graph cut's")
+    parser.add_argument("--tolerance", type=float, help="relative gap to stop at (1e-4)")
+    parser.add_argument("--max-iterations", type=int, default=2000)
+    _cloud_options(parser)
+
+
+def _image(options: Options, shape: Any) -> npt.NDArray[np.float64]:
+    values, _ = _values(options.values, shape)
+    if values is None:
+        raise InputError(f"{options.file} has no colours; name the image with --values (it has {', '.join(shape.data) or 'no data'})")
+    if isinstance(values, dict):
+        raise InputError(f"--values {options.values} holds {', '.join(values)}; put the one that is meant into a file of its own")
+    array = np.asarray(values)
+    image: npt.NDArray[np.float64] = array / 255.0 if array.dtype == np.uint8 else np.asarray(array, np.float64)
+    return image[:, :3] if image.ndim == 2 and image.shape[1] == 4 and options.values is None else image  # no alpha
+
+
+def _segment_options(parser: argparse.ArgumentParser) -> None:
+    _image_options(parser)
+    parser.add_argument("--regions", type=int, default=2, help="how many (2)")
+
+
+@command("segment", "an image on a surface into regions with short boundaries (convex Chan-Vese), certified", _segment_options)
+def segment(options: Options) -> int:
+    check_outputs(options)
+    shape, look = _distinct(options), _looks(options)
+    image = _image(options, shape)
+    spread = float(np.var(image.reshape(len(image), -1), axis=0).sum())
+    fidelity = options.fidelity if options.fidelity is not None else 30.0 / (4 * spread) if spread > 0 else 1.0
+    r = bt.segment(
+        _operators(shape),
+        image,
+        fidelity=fidelity,
+        regions=options.regions,
+        tv=options.tv,
+        tolerance=options.tolerance,
+        max_iterations=options.max_iterations,
+        progress=Bar("segment"),
+    )
+    means = [" ".join(f"{value:.5g}" for value in mean) for mean in r.means]
+    table([(k, area, area / r.areas.sum(), mean) for k, (area, mean) in enumerate(zip(r.areas, means, strict=True))],
+          ("region", "area", "share", "mean"))  # fmt: skip
+    rows = [("fidelity", fidelity), ("contours", len(r.contours)), ("their length", r.contour_length), ("energy", r.primal)]
+    rows += [("proved lower bound", r.dual), ("relative gap", r.gap), ("excess of the labels", r.excess), ("iterations", r.iterations)]
+    print()
+    table([*rows, ("converged", r.converged)])
+    values: dict[str, npt.NDArray[Any]] = {
+        "label": r.labels,
+        "phi": r.phi,
+        "means": r.means,
+        "areas": r.areas,
+        "certificate": np.array([r.primal, r.dual, r.gap]),
+    }
+    write(options, shape, values, {"region": r.labels}, lines=r.contours or None, **look)
+    return DONE if r.converged else _unfinished(r)
+
+
+@command("denoise", "an image on a surface by total variation (Rudin-Osher-Fatemi, colour too), certified", _image_options)
+def denoise(options: Options) -> int:
+    check_outputs(options)
+    shape, look = _distinct(options), _looks(options)
+    image = _image(options, shape)
+    reach = float(np.ptp(image)) if image.size else 0.0
+    u = bt.denoise(
+        _operators(shape),
+        image,
+        fidelity=options.fidelity if options.fidelity is not None else 100.0 / reach if reach > 0 else 1.0,
+        tv=options.tv,
+        tolerance=1e-4 if options.tolerance is None else options.tolerance,
+        max_iterations=options.max_iterations,
+        progress=Bar("denoise"),
+    )
+    rows = [("fidelity", u.fidelity), ("energy", u.primal), ("proved lower bound", u.dual), ("relative gap", u.gap)]
+    table([*rows, ("iterations", u.iterations), ("converged", u.converged)])
+    shown = np.clip(u.image, 0, 1) if u.image.ndim == 2 and u.image.shape[1] == 3 else u.image
+    pictures = {"denoised": shown} if shown.ndim == 1 or shown.shape[1] == 3 else {f"channel {k}": c for k, c in enumerate(shown.T)}
+    write(options, shape, {"image": u.image, "certificate": np.array([u.primal, u.dual, u.gap])}, pictures, **look)
+    return DONE if u.converged else _unfinished(u)
+
+
+def _unfinished(result: Any) -> int:
+    print(f"not converged: the gap is {result.gap:.1e} after {result.iterations} iterations; give more with --max-iterations")
+    return NOT_CONVERGED
+
+
 def _plot_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)

@@ -78,7 +78,7 @@ class _Surface:
         if self.tv == "edge":
             return dual[:, 0].copy() if channels == 1 else dual.copy()
         local = dual.reshape(len(dual), channels, -1)
-        turned = np.einsum("mca,mad->mcd", local, self.frames)
+        turned: Floats = np.einsum("mca,mad->mcd", local, self.frames)
         return turned[:, 0] if channels == 1 else turned
 
     def factor(self, ratio: float | Floats) -> Cholesky:
@@ -104,7 +104,8 @@ def _simplices(ops: Operators) -> tuple[Ints, Floats, Floats]:
 
 def _heron(lengths: Floats) -> Floats:
     c, b, a = np.sort(lengths, axis=1).T
-    return 0.25 * np.sqrt(np.maximum((a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c)), 0))
+    area: Floats = 0.25 * np.sqrt(np.maximum((a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c)), 0))
+    return area
 
 
 def _hats(sides: Floats) -> tuple[Floats, Floats]:
@@ -448,7 +449,9 @@ class _Segmenter:
         # A weak image moves phi slowly against a strong penalty.
         strength = float(np.sqrt((mass * np.square(cost)).sum() / channels))
         penalty = self.penalty * min(1.0, STRENGTH * strength / (self.penalty * ratio))
-        tv = lambda values: radius * elements.total_variation(values, False)  # noqa: E731
+
+        def tv(values: Floats) -> float:
+            return radius * elements.total_variation(values, False)
 
         def restart() -> None:
             elements.flux(w - p / penalty, right)

@@ -384,3 +384,26 @@ def test_save_and_plot(tmp_path):
     with pytest.raises(bt.InputError, match="npz"):
         r.save(tmp_path / "a.docx")
     assert bt.denoise(mesh, cap(mesh, 1.0, 0.2)).save(tmp_path / "u.ply").exists()
+
+
+def test_intrinsic_triangulations_certify_too():
+    mesh = bt.shapes.grid(15, 12)
+    image = (mesh.vertices[:, 0] > 0.5) + 0.2 * np.random.default_rng(1).normal(size=180)
+    for kind in ("intrinsic_delaunay", "tufted"):
+        r = bt.segment(bt.operators(mesh, laplacian=kind), image, fidelity=30.0)
+        assert r.converged
+        assert r.contour_length == pytest.approx(1, rel=0.1)
+
+
+def test_command_line(tmp_path, capsys):
+    from beltrami.__main__ import main
+
+    mesh = bt.shapes.sphere(3)
+    bt.save(bt.TriangleMesh(mesh.vertices, mesh.faces, data={"height": mesh.vertices[:, 2]}), tmp_path / "sphere.ply")
+    arguments = [str(tmp_path / "sphere.ply"), "--values", "height", "-o", str(tmp_path / "out.npz")]
+    assert main(["segment", *arguments]) == 0
+    assert "relative gap" in capsys.readouterr().out
+    with np.load(tmp_path / "out.npz") as kept:
+        assert kept["label"].shape == (len(mesh.vertices),)
+    assert main(["denoise", *arguments, "--max-iterations", "1", "--tolerance", "1e-15"]) == 1
+    assert main(["segment", str(tmp_path / "sphere.ply")]) == 2  # no colours, no --values
