@@ -37,7 +37,11 @@ SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
 
 # local_mesh
 def local_mesh(
-    points: Floats, dimension: int, neighbors: int | None = None, progress: Callable[[float], object] | None = None
+    points: Floats,
+    dimension: int,
+    neighbors: int | None = None,
+    normals: Floats | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> tuple[Ints, npt.NDArray[np.uint8], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Floats, Floats, Floats, float]: ...
 def local_stiffness(mesh: SimplexArrays, potential: Floats | None = None) -> CsrParts: ...
 def local_mass(mesh: SimplexArrays) -> Floats: ...
@@ -53,6 +57,7 @@ def moving_least_squares(
     neighbors: int | None = None,
     weight: str = "special",
     constrained: bool = True,
+    normals: Floats | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[CsrParts, CsrParts, npt.NDArray[np.uint32], float]: ...
 

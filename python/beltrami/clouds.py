@@ -13,6 +13,7 @@ import scipy.sparse as sparse
 from . import _core, arrays
 from .arrays import Floats, Ints
 from .errors import InputError
+from .near import nearest_neighbors
 from .operators import Operators
 from .progress import Progress, reporter
 from .shapes import PointCloud
@@ -34,6 +35,9 @@ class _LocalMesh(NamedTuple):
 
 class CloudOperators(Operators):
     """Operators of a point cloud, made by ``bt.operators(cloud)``.
+
+    Where the cloud has normals that are oriented alike, points whose normals oppose each other are never neighbours: the two sides of
+    thin parts stay apart (``bt.normals`` finds such normals).
 
     The elements are the simplices (triangles for d = 2, tetrahedra for d = 3) that the Delaunay stars of the points vote for. A
     simplex with v of its d + 1 corners' stars behind it counts v / (d + 1) times in every sum.
@@ -74,12 +78,13 @@ class CloudOperators(Operators):
     @cached_property
     def _found(self) -> _LocalMesh:
         cloud, d = self.shape, self.shape.dimension
-        found = _LocalMesh(*_core.local_mesh(cloud.points, d, vars(self)["_neighbors"], vars(self)["_reporter"]))
-        notes = _dimension_note(found.estimated_dimension, d) if self.kind == "local_mesh" else ()
+        normals, notes = _usable_normals(cloud)
+        found = _LocalMesh(*_core.local_mesh(cloud.points, d, vars(self)["_neighbors"], normals, vars(self)["_reporter"]))
+        notes += _dimension_note(found.estimated_dimension, d)
         if not found.certified.all():
             wrong = np.flatnonzero(~found.certified)
             notes += (f"the stars of {len(wrong)} of {len(found.certified)} points are not certified, the first is {wrong[0]}",)
-        object.__setattr__(self, "notes", self.notes + notes)
+        object.__setattr__(self, "notes", tuple(dict.fromkeys(self.notes + notes)))
         return found
 
     @property
@@ -204,7 +209,7 @@ class CloudOperators(Operators):
     def _least_squares(self) -> tuple[sparse.csr_array, sparse.csr_array]:
         cloud = self.shape
         n, space = cloud.points.shape
-        gradient, laplacian, _, _ = _core.moving_least_squares(cloud.points, cloud.dimension, 2)
+        gradient, laplacian, _, _ = _core.moving_least_squares(cloud.points, cloud.dimension, 2, normals=_usable_normals(cloud)[0])
         return arrays.csr_out(gradient, (n * space, n)), arrays.csr_out(laplacian, (n, n))
 
     @cached_property
@@ -246,18 +251,31 @@ class LeastSquaresOperators(CloudOperators):
     ) -> None:
         super().__init__(shape, "mls", neighbors=None, progress=None)
         n, space = shape.points.shape
+        normals, notes = _usable_normals(shape)
         gradient, laplacian, signed, estimate = _core.moving_least_squares(
-            shape.points, shape.dimension, degree, neighbors, weight, constrained, reporter(progress, "moving least squares")
+            shape.points, shape.dimension, degree, neighbors, weight, constrained, normals, reporter(progress, "moving least squares")
         )
         vars(self).update(
             gradient=arrays.csr_out(gradient, (n * space, n)),
             laplacian=arrays.csr_out(laplacian, (n, n)),
             signed_points=signed,
-            notes=_dimension_note(estimate, shape.dimension),
+            notes=notes + _dimension_note(estimate, shape.dimension),
         )
 
     def __repr__(self) -> str:
         return f"Operators(mls, n = {len(self.shape.points)}, {self.laplacian.nnz} entries)"
+
+
+def _usable_normals(cloud: PointCloud) -> tuple[Floats | None, tuple[str, ...]]:
+    """The cloud's normals if they are oriented alike, and a note if they are not."""
+    count, space = cloud.points.shape
+    if cloud.normals is None or space != cloud.dimension + 1 or count < 7:
+        return None, ()
+    indices, _ = nearest_neighbors(cloud.points, cloud.points, 7)
+    opposed = float((np.einsum("nd,nkd->nk", cloud.normals, cloud.normals[indices[:, 1:]]) < 0).mean())
+    if opposed > 0.4:  # a half where signs are random
+        return None, (f"normals were not used: {100 * opposed:.0f} % of those of near neighbours point the other way",)
+    return cloud.normals, ()
 
 
 def _dimension_note(estimate: float, dimension: int) -> tuple[str, ...]:

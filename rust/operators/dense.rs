@@ -171,7 +171,7 @@ pub(crate) fn cholesky(a: &mut [f64], n: usize, floor: f64) -> bool {
                 sum -= a[i * n + k] * a[j * n + k];
             }
             if i == j {
-                if !(sum > floor * a[i * n + i]) {
+                if sum.is_nan() || sum <= floor * a[i * n + i] {
                     return false;
                 }
                 a[i * n + i] = sum.sqrt();

@@ -37,6 +37,8 @@ pub(crate) struct Cloud {
     pub(crate) original: Vec<u32>,
     pub(crate) rank: Vec<u32>,
     pub(crate) tree: KdTree,
+    /// Outward normals by rank, where they are known: neighbours whose normal points the other way lie on another sheet.
+    normals: Option<Vec<f64>>,
 }
 
 /// Neighbours and frames of every point, by rank.
@@ -66,7 +68,7 @@ pub(crate) fn name_some(indices: &[u32]) -> String {
 }
 
 impl Cloud {
-    pub(crate) fn new(points: &[f64], ambient: usize, dimension: usize, control: &Control) -> Result<Cloud> {
+    pub(crate) fn new(points: &[f64], ambient: usize, dimension: usize, normals: Option<&[f64]>, control: &Control) -> Result<Cloud> {
         if dimension == 0 || dimension > ambient {
             return Err(Error::input(format!("intrinsic dimension {dimension} of points in R^{ambient}; it must be from 1 to {ambient}")));
         }
@@ -91,7 +93,20 @@ impl Cloud {
             rank[index as usize] = at as u32;
             ordered.extend_from_slice(&scaled[index as usize * ambient..][..ambient]);
         }
-        Ok(Cloud { ambient, points: ordered, scale, original, rank, tree })
+        let normals = match normals {
+            None => None,
+            Some(normals) if normals.len() != points.len() || normals.iter().any(|x| !x.is_finite()) => {
+                return Err(Error::input(format!(
+                    "normals are {} numbers for {count} points in R^{ambient}; one finite vector a point is needed",
+                    normals.len()
+                )));
+            }
+            Some(normals) => {
+                let vectors = original.iter().flat_map(|&index| normals[index as usize * ambient..][..ambient].iter().copied());
+                Some(vectors.collect())
+            }
+        };
+        Ok(Cloud { ambient, points: ordered, scale, original, rank, tree, normals })
     }
 
     pub(crate) fn count(&self) -> usize {
@@ -102,13 +117,33 @@ impl Cloud {
         &self.points[rank * self.ambient..][..self.ambient]
     }
 
-    /// The `width` nearest other points as ranks, nearest first, their distances left in `scratch` from the second on.
+    /// Whether the normals of two points do not oppose each other.
+    fn same_side(&self, a: usize, b: u32) -> bool {
+        self.normals.as_ref().is_none_or(|normals| {
+            let (x, y) = (&normals[a * self.ambient..][..self.ambient], &normals[b as usize * self.ambient..][..self.ambient]);
+            x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>() >= 0.0
+        })
+    }
+
+    /// The `width` nearest other points on this side as ranks, nearest first; filled up by the other side's where there are not so many.
     pub(crate) fn neighbors_into(&self, rank: usize, width: usize, scratch: &mut Scratch, out: &mut Vec<u32>) -> Result<()> {
-        self.tree.nearest_into(self.point(rank), width + 1, scratch)?;
-        out.clear();
         let own = self.original[rank];
-        out.extend(scratch.indices().iter().filter(|&&index| index != own).take(width).map(|&index| self.rank[index as usize]));
-        Ok(())
+        let mut asked = width + 1;
+        loop {
+            self.tree.nearest_into(self.point(rank), asked, scratch)?;
+            let others = || scratch.indices().iter().filter(|&&index| index != own).map(|&index| self.rank[index as usize]);
+            out.clear();
+            out.extend(others().filter(|&other| self.same_side(rank, other)).take(width));
+            if out.len() == width {
+                return Ok(());
+            }
+            if asked == self.count() {
+                let missing = width - out.len();
+                out.extend(others().filter(|&other| !self.same_side(rank, other)).take(missing));
+                return Ok(());
+            }
+            asked = (2 * asked).min(self.count());
+        }
     }
 
     /// The caller's numbers of some ranks, ascending.
@@ -234,9 +269,9 @@ impl Work {
         }
         for j in 0..rows {
             let root = if j == count { 1.0 } else { weight(self.distances[j]).sqrt() };
-            for a in 0..ambient {
+            for (a, mean) in mean.iter().enumerate() {
                 let x = if j == count { 0.0 } else { self.offsets[j * ambient + a] };
-                self.rows[j * ambient + a] = root * (x - mean[a]) / reach;
+                self.rows[j * ambient + a] = root * (x - mean) / reach;
             }
         }
         let order = ambient.min(rows);
@@ -383,7 +418,7 @@ fn orthonormalize(axes: &mut [f64], ambient: usize) -> bool {
                 }
             }
             let length = axis.iter().map(|x| x * x).sum::<f64>().sqrt();
-            if !(length > 1e-300) {
+            if length.is_nan() || length <= 1e-300 {
                 return false;
             }
             for x in axis.iter_mut() {
@@ -429,7 +464,7 @@ impl Frames {
                         work.offsets(cloud, rank, &found[..some]);
                         spacing[at] = work.distances[near.min(some - 1)];
                         growth[at] = (work.distances[some - 1] / spacing[at]).ln();
-                        if !(work.distances[0] > COINCIDENT * spacing[at]) {
+                        if work.distances[0] <= COINCIDENT * spacing[at] {
                             states[at] = State::Duplicate;
                             work.found = found;
                             continue;

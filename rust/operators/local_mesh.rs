@@ -29,10 +29,13 @@ const MOST: usize = 960;
 const FLAT: f64 = 1e-14;
 
 /// How [`local_mesh`] goes about it.
-#[derive(Debug, Clone, Default)]
-pub struct LocalMeshOptions {
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LocalMeshOptions<'a> {
     /// Neighbours each star starts with; without it 30 for surfaces and 60 for volumes.
     pub neighbors: Option<usize>,
+    /// Outward normals, D numbers a point: points whose normals oppose each other are never neighbours, which keeps the two sides of
+    /// thin parts apart.
+    pub normals: Option<&'a [f64]>,
 }
 
 /// Simplices voted for by the stars of a cloud's points, and what is known about each point.
@@ -102,7 +105,7 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
             "local meshes are made for clouds of dimension 1, 2 and 3, not {dimension}; moving least squares (laplacian=\"mls\") takes any"
         )));
     }
-    let cloud = Cloud::new(points, ambient, dimension, control)?;
+    let cloud = Cloud::new(points, ambient, dimension, options.normals, control)?;
     let width = options.neighbors.unwrap_or([8, 30, 60][dimension - 1]);
     if width < dimension + 1 {
         return Err(Error::input(format!("{width} neighbours; a star of dimension {dimension} needs {} or more", dimension + 1)));
@@ -154,6 +157,9 @@ fn jitter(index: u32) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
+/// How many facets each point of a task has, the facets, and whether each star is certified and open.
+type StarsOfTask = (Vec<u32>, Vec<Facet>, Vec<(bool, bool)>);
+
 /// The stars of all points, by rank.
 struct Stars {
     dimension: usize,
@@ -169,7 +175,7 @@ impl Stars {
         let progress = Progress::new(cloud.count(), from, to, control);
         let heights: Vec<f64> =
             (0..cloud.count()).map(|rank| 1e-9 * frames.spacing[rank] * frames.spacing[rank] * jitter(cloud.original[rank])).collect();
-        let tasks: Vec<(Vec<u32>, Vec<Facet>, Vec<(bool, bool)>)> = (0..cloud.count().div_ceil(TASK))
+        let tasks: Vec<StarsOfTask> = (0..cloud.count().div_ceil(TASK))
             .into_par_iter()
             .map_init(StarWork::default, |work, task| {
                 let range = task * TASK..((task + 1) * TASK).min(cloud.count());
@@ -610,6 +616,7 @@ struct Element {
     inverse: [[f64; 3]; 3],
 }
 
+#[allow(clippy::needless_range_loop)] // indices of small matrices, as they are written
 impl Element {
     /// `None` for a simplex so flat that it has no gradients.
     fn new(points: &[f64], ambient: usize, corners: &[u32]) -> Option<Element> {
@@ -663,7 +670,7 @@ impl Element {
             }
         };
         let bound: f64 = (0..d).map(|a| g[a][a]).product();
-        if !(determinant > FLAT * bound) {
+        if determinant.is_nan() || determinant <= FLAT * bound {
             return None;
         }
         let inverse = adjugate.map(|row| row.map(|x| x / determinant));

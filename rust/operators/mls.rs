@@ -53,7 +53,7 @@ pub enum MlsWeight {
 
 /// How [`moving_least_squares`] goes about it.
 #[derive(Debug, Clone)]
-pub struct MlsOptions {
+pub struct MlsOptions<'a> {
     /// Degree of the polynomials, 1 to 6; 2 to 4 are usual.
     pub degree: usize,
     /// Neighbours of each point; without it, about three and a half times the number of coefficients.
@@ -62,11 +62,13 @@ pub struct MlsOptions {
     pub weight: MlsWeight,
     /// Whether rows of the Laplacian are kept free of negative off-diagonal entries as far as they can be.
     pub constrained: bool,
+    /// Outward normals, D numbers a point: points whose normals oppose each other are never neighbours.
+    pub normals: Option<&'a [f64]>,
 }
 
-impl Default for MlsOptions {
+impl Default for MlsOptions<'_> {
     fn default() -> Self {
-        MlsOptions { degree: 2, neighbors: None, weight: MlsWeight::default(), constrained: true }
+        MlsOptions { degree: 2, neighbors: None, weight: MlsWeight::default(), constrained: true, normals: None }
     }
 }
 
@@ -110,7 +112,7 @@ pub fn moving_least_squares(
     if !(1..=6).contains(&options.degree) {
         return Err(Error::input(format!("polynomials of degree {}; choose 2, 3 or 4 (1 to 6 are possible)", options.degree)));
     }
-    let cloud = Cloud::new(points, ambient, dimension, control)?;
+    let cloud = Cloud::new(points, ambient, dimension, options.normals, control)?;
     let monomials = Monomials::new(dimension, options.degree);
     let terms = monomials.len();
     if cloud.count() < terms {
@@ -182,7 +184,7 @@ struct MlsWork<'a> {
     cloud: &'a Cloud,
     frames: &'a Frames,
     monomials: &'a Monomials,
-    options: &'a MlsOptions,
+    options: &'a MlsOptions<'a>,
     near: Scratch,
     found: Vec<u32>,
     /// Neighbours of the fit, the point itself last.
@@ -207,7 +209,7 @@ struct MlsWork<'a> {
 }
 
 impl<'a> MlsWork<'a> {
-    fn new(cloud: &'a Cloud, frames: &'a Frames, monomials: &'a Monomials, options: &'a MlsOptions) -> Self {
+    fn new(cloud: &'a Cloud, frames: &'a Frames, monomials: &'a Monomials, options: &'a MlsOptions<'a>) -> Self {
         let terms = monomials.len();
         MlsWork {
             cloud,

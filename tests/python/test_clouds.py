@@ -354,3 +354,19 @@ def test_command_line(tmp_path, capsys):
     assert "certified stars" in capsys.readouterr().out
     assert main(["geodesic", str(file), "--deduplicate", "--source", "4", "-o", str(tmp_path / "d.csv")]) == 0
     assert main(["geodesic", str(file), "--deduplicate", "--source", "900"]) == 2
+
+
+def test_oriented_normals_keep_the_sides_of_a_thin_shell_apart():
+    # Two concentric spheres about the spacing apart: joined as a cloud alone, two components with normals.
+    outer = sphere(1200)
+    inner = sphere(1200, 1) * 0.9
+    normals = np.r_[outer, -inner / 0.9]
+    ops = bt.operators(bt.PointCloud(np.r_[outer, inner], normals=normals))
+    assert ops.component_labels.max() == 1
+    assert ops.mass.sum() == pytest.approx(4 * np.pi * (1 + 0.9**2), rel=0.01)
+    np.testing.assert_allclose(bt.eigenpairs(ops, 8).values[2:], np.repeat([2, 2 / 0.9**2], 3), rtol=0.02)
+    # normals without a common orientation are left alone, and it is said
+    signs = np.where(np.random.default_rng(0).random(len(outer)) < 0.5, -1.0, 1.0)[:, None]
+    plain, mixed = bt.operators(bt.PointCloud(outer)), bt.operators(bt.PointCloud(outer, normals=signs * outer))
+    assert (plain.stiffness != mixed.stiffness).nnz == 0
+    assert any("normals were not used" in note for note in mixed.notes)

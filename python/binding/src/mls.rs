@@ -8,7 +8,8 @@ use pyo3::prelude::*;
 
 /// Gradient, Laplacian, points whose row has a negative off-diagonal entry, estimated dimension.
 #[pyfunction]
-#[pyo3(signature = (points, dimension, degree, neighbors = None, weight = "special", constrained = true, progress = None))]
+#[allow(clippy::type_complexity, clippy::too_many_arguments)]
+#[pyo3(signature = (points, dimension, degree, neighbors = None, weight = "special", constrained = true, normals = None, progress = None))]
 pub fn moving_least_squares<'py>(
     py: Python<'py>,
     points: PyReadonlyArray2<'py, f64>,
@@ -17,6 +18,7 @@ pub fn moving_least_squares<'py>(
     neighbors: Option<usize>,
     weight: &str,
     constrained: bool,
+    normals: Option<PyReadonlyArray2<'py, f64>>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<(CsrParts<'py>, CsrParts<'py>, Bound<'py, PyArray1<u32>>, f64)> {
     let (numbers, ambient) = table(&points)?;
@@ -27,7 +29,8 @@ pub fn moving_least_squares<'py>(
         "uniform" => MlsWeight::Uniform,
         other => return Err(error::input(py, format!("weight is {other:?}; choose special, gaussian, wendland or uniform"))),
     };
-    let options = MlsOptions { degree, neighbors, weight, constrained };
+    let normals = normals.as_ref().map(table).transpose()?.map(|normals| normals.0);
+    let options = MlsOptions { degree, neighbors, weight, constrained, normals };
     let mls = run::watched(py, progress.as_ref(), |control| {
         beltrami::operators::moving_least_squares(numbers, ambient, dimension, &options, control)
     })?;
