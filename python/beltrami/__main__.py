@@ -389,6 +389,50 @@ def _unfinished(result: Any) -> int:
     return NOT_CONVERGED
 
 
+def _sphere_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    _look(parser)
+    _output(parser)
+    parser.add_argument("--method", choices=("fast", "cayley", "preconditioned_cayley"), default="fast")
+    parser.add_argument("--fill-holes", action="store_true", help="close the holes of a mesh for the map")
+    parser.add_argument("--show", choices=("checkerboard", "angle_error", "conformal_factor"), default="checkerboard", help="in pictures")
+    parser.add_argument("--on", choices=("shape", "sphere"), default="shape", help="what pictures show")
+    _cloud_options(parser)
+
+
+@command("sphere", "the conformal map of a surface of genus 0 to the unit sphere", _sphere_options)
+def sphere(options: Options) -> int:
+    check_outputs(options)
+    shape, look = _distinct(options), _looks(options)
+    bar = Bar("spherical map")
+    found = bt.spherical_map(shape, method=options.method, fill_holes=options.fill_holes, progress=bar)
+    error = np.degrees(found.angle_error)
+    table(
+        [
+            ("energy less image area", found.excess),
+            ("image area", found.area),
+            ("angle error, degrees", f"mean {error.mean():.4g}, median {np.median(error):.4g}, greatest {error.max():.4g}"),
+            ("flipped triangles", found.flipped),
+            ("steps", found.iterations),
+            ("converged", found.converged),
+        ]
+    )
+    for note in found.notes:
+        print(f"note: {note}")
+    values: dict[str, npt.NDArray[Any]] = {
+        "positions": found.positions,
+        "conformal_factor": found.conformal_factor,
+        "faces": found.faces,
+        "angle_error": found.angle_error,
+    }
+    rest = argparse.Namespace(out=[name for name in options.out or [] if Path(name).suffix.lower() not in (".png", ".html")])
+    write(rest, shape, values, {})
+    for name in options.out or []:
+        if name not in rest.out:
+            print(f"wrote {found.plot(options.show, on=options.on, path=name, **look).path}")
+    return DONE if found.converged else NOT_CONVERGED
+
+
 def _plot_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)

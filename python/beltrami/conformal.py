@@ -294,13 +294,14 @@ class SphericalMapResult:
         target: Any = self.sphere if on == "sphere" else self.shape
         if isinstance(values, str):
             if values == "checkerboard":
-                values = spherical.checkerboard(self.positions)
+                source = self.positions if on == "sphere" else self._source
+                positions = self.positions
+                if isinstance(target, TriangleMesh) and len(self.faces):
+                    target, positions = spherical.refined(source, self.faces, positions, 40_000)
+                values = spherical.checkerboard(positions)
                 options = {"colormap": ["#27466b", "#f3e9d2"], "limits": (-0.02, 0.02), "color_bar": False, **options}
             elif values == "angle_error":
-                error = np.degrees(self.angle_error)
-                share = np.repeat(1 / 3, self.faces.size)
-                count = np.bincount(self.faces.ravel(), share, len(self.positions)).clip(1e-300)
-                values = np.bincount(self.faces.ravel(), np.repeat(error / 3, 3), len(self.positions)) / count
+                values = at_vertices(self, np.degrees(self.angle_error))
                 options = {"label": "angle error (degrees)", "limits": (0.0, float(np.quantile(values, 0.98)) or 1.0), **options}
             elif values == "conformal_factor":
                 values = np.log10(self.conformal_factor.clip(1e-300))
@@ -308,6 +309,14 @@ class SphericalMapResult:
             else:
                 raise InputError(f"values is {values!r}; choose 'checkerboard', 'angle_error' or 'conformal_factor', or give an array")
         return plot(target, values, path=path, **options)
+
+
+def at_vertices(result: SphericalMapResult, values: Floats) -> Floats:
+    """Values of triangles, averaged at the vertices."""
+    corners = result.faces.ravel()
+    sums = np.bincount(corners, np.repeat(values, 3), len(result.positions))
+    found: Floats = sums / np.bincount(corners, minlength=len(result.positions)).clip(1)
+    return found
 
 
 # --- triangles ----------------------------------------------------------------------------------------------------------------------

@@ -120,6 +120,22 @@ def checkerboard(directions: Floats, squares: int = 12) -> Floats:
     return found
 
 
+def refined(vertices: Floats, faces: Ints, positions: Floats, least: int) -> tuple[TriangleMesh, Floats]:
+    """The mesh with its triangles cut in four until it has ``least`` vertices, and images of the new vertices: for smooth pictures."""
+    while len(vertices) < least:
+        n = len(vertices)
+        pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64), axis=1)
+        keys, inverse = np.unique(pairs[:, 0] * n + pairs[:, 1], return_inverse=True)
+        a, b = keys // n, keys % n
+        middle = positions[a] + positions[b]
+        positions = np.concatenate([positions, middle / np.sqrt((middle * middle).sum(1)).clip(1e-300)[:, None]])
+        vertices = np.concatenate([vertices, 0.5 * (vertices[a] + vertices[b])])
+        ab, bc, ca = inverse.reshape(3, -1) + n
+        p, q, r = faces.T
+        faces = np.concatenate([np.stack(part, 1) for part in ((p, ab, ca), (q, bc, ab), (r, ca, bc), (ab, bc, ca))]).astype(np.int32)
+    return TriangleMesh(vertices, faces), positions
+
+
 # --- rotations ----------------------------------------------------------------------------------------------------------------------
 
 

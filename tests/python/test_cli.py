@@ -68,6 +68,20 @@ def test_eigen_prints_and_writes(tmp_path, capsys):
     assert (tmp_path / "a.png").exists()
 
 
+def test_sphere_prints_and_writes(tmp_path, capsys):
+    outs = [arg for name in ("a.npz", "a.csv", "a.png") for arg in ("-o", str(tmp_path / name))]
+    assert main(["sphere", "example:spot", "--size", "300x200", *outs]) == 0
+    printed = dict(line.split("  ", 1) for line in capsys.readouterr().out.splitlines() if "  " in line)
+    assert printed["flipped triangles"].strip() == "0"
+    with np.load(tmp_path / "a.npz") as archive:
+        found = bt.spherical_map(bt.examples.spot())
+        assert np.array_equal(archive["positions"], found.positions)
+    assert (tmp_path / "a.csv").read_text().startswith("positions_0,positions_1,positions_2,conformal_factor\n")
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    assert main(["sphere", "example:bob"]) == 2  # genus 1
+    assert "Euler characteristic 0" in capsys.readouterr().err
+
+
 def test_geodesic_prints_and_writes(tmp_path, capsys):
     bt.save(bt.shapes.sphere(4), tmp_path / "sphere.ply")
     assert (

@@ -1,0 +1,94 @@
+"""Conformal maps to the sphere."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+import beltrami as bt
+from beltrami.conformal import at_vertices
+from beltrami.spherical import checkerboard, refined
+
+from . import Sheet, section
+
+
+@section("Conformal maps to the sphere")
+def maps(sheet: Sheet) -> None:
+    sheet.text(
+        "Every closed surface without handles has a map to the sphere that keeps all angles. `bt.spherical_map` minimizes E - A, the "
+        "Dirichlet energy less the area of the image, which is zero only where each triangle keeps its shape; it centres the "
+        "image by a Möbius map and sees to it that no triangle is turned over. The squares below are those of the sphere's Mercator "
+        "projection, pulled back: right angles everywhere, though sizes differ by powers of ten."
+    )
+    cortex, spot = bt.examples.cortex("pial"), bt.examples.spot()
+    rows, made = [], {}
+    for name, shape in (
+        ("cortex, pial surface", cortex),
+        ("cortex, white surface", bt.examples.cortex("white")),
+        ("spot", spot),
+        ("spot, its points alone", bt.PointCloud(spot.vertices)),
+    ):
+        start = time.perf_counter()
+        r = made[name] = bt.spherical_map(shape)
+        seconds = time.perf_counter() - start
+        error = np.degrees(r.angle_error)
+        rows.append((name, len(r.positions), r.excess, float(error.mean()), float(np.median(error)), r.flipped, r.iterations, seconds))
+    sheet.table(("shape", "vertices", "E - A", "mean angle error, °", "median, °", "flipped", "steps", "seconds"), rows)
+    sheet.code(
+        'r = bt.spherical_map(cortex)\nr.plot("checkerboard", path="squares.png")\nr.plot("angle_error", on="sphere", path="error.png")\n'
+        "depth = r.image(cortex.data['depth'])          # longitude-latitude image\n"
+        "there = r.aligned_to(other).map_to(other)      # another cortex, through the sphere"
+    )
+    r = made["cortex, pial surface"]
+    squares = {"colormap": ["#27466b", "#f3e9d2"], "limits": (-0.02, 0.02), "color_bar": False, "size": (1600, 760)}
+    fine, positions = refined(cortex.vertices, r.faces, r.positions, 40_000)
+    sheet.picture(
+        fine,
+        checkerboard(positions),
+        views=["left", "right", "top"],
+        up="z",
+        title="Squares of the sphere on the cortex",
+        caption="Left pial surface, lateral, medial and from above.",
+        interactive=True,
+        **squares,
+    )
+    depth = cortex.data["depth"]
+    span = float(np.abs(depth).max())
+    sheet.picture(
+        r.sphere,
+        {"sulcal depth": depth},
+        views=["left", "right", "top"],
+        up="z",
+        colormap="balance",
+        limits=(-span, span),
+        contours=[0.0],
+        title="The same cortex on the sphere",
+        caption="Sulcal depth; gyri and sulci in one view, angles kept.",
+        interactive=True,
+        size=(1600, 760),
+    )
+    sheet.picture(
+        cortex,
+        {"angle error, degrees": at_vertices(r, np.degrees(r.angle_error))},
+        views=["left", "right", "top"],
+        up="z",
+        limits=(0.0, 8.0),
+        title="How much the angles of the triangles change",
+        caption="Mean over the three angles. What is left is that of the mesh: it falls with the square of the triangles' size.",
+        size=(1600, 760),
+    )
+    r = made["spot"]
+    fine, positions = refined(spot.vertices, r.faces, r.positions, 40_000)
+    sheet.picture(
+        fine,
+        checkerboard(positions),
+        views=["three-quarter back", "back", "left"],
+        title="Spot",
+        caption="Horns, ears and legs are tiny on the sphere, and still nothing is turned over.",
+        interactive=True,
+        **squares,
+    )
+    sheet.text("On the sphere a shape is three functions; their spherical harmonics describe it coarse to fine.")
+    sums = [r.harmonics(degree) for degree in (3, 8, 15, 40)]
+    sheet.table(("degree", "relative error"), [(one.degree, one.error) for one in sums], "Spot as a sum of spherical harmonics")
