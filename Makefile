@@ -39,5 +39,9 @@ check: build ## formatting, lints, types, stubs
 bars: build ## the acceptance checks beside the project, where they are present
 	@if [ -f ../shared/checks/all.py ]; then $(BIN)/python ../shared/checks/all.py; else echo "../shared/checks is absent: no bars to hold against"; fi
 
+docs: build ## the site: site/index.html, with a reference of all names
+	cargo doc --no-deps --quiet
+	$(BIN)/python docs/build.py
+
 clean: ## remove what was built
 	rm -rf target .venv gallery site

@@ -96,7 +96,7 @@ def eigenpairs(
     Examples
     --------
     >>> import beltrami as bt
-    >>> bt.eigenpairs(bt.shapes.sphere(4), 4).values.round(2)
+    >>> abs(bt.eigenpairs(bt.shapes.sphere(4), 4).values).round(2)
     array([0., 2., 2., 2.])
     """
     k = arrays.whole(k, "k", 1)

@@ -1,0 +1,24 @@
+"""Paints docs/images: `python docs/pictures.py`. Spot is by Keenan Crane (CC0); the other shapes are made by the library."""
+
+from pathlib import Path
+
+import beltrami as bt
+
+FOLDER = Path(__file__).resolve().parent / "images"
+
+
+def main() -> None:
+    """All pictures of the pages."""
+    spot, torus = bt.examples.spot(), bt.shapes.torus(rows=90, columns=40)
+    distance = bt.geodesic_distance(spot, 0)
+    modes = bt.eigenpairs(spot, 8)
+    bt.plot(spot, distance, contours=20, points=[0], label="distance", size=(760, 520), path=FOLDER / "distance.png")
+    bt.plot(spot, {f"λ = {modes.values[at]:.1f}": modes.functions[:, at] for at in (1, 4, 7)}, contours=[0.0], color_bar=False,
+            size=(1000, 400), path=FOLDER / "modes.png")  # fmt: skip
+    source = torus.vertices[:, 0] * torus.vertices[:, 1]
+    bt.plot(torus, bt.solve_poisson(torus, source), contours=14, up="z", label="u", size=(700, 400), path=FOLDER / "poisson.png")
+    bt.plot(bt.shapes.figure_eight(resolution=8), up="z", edges=True, views=["top"], size=(560, 300), path=FOLDER / "figure_eight.png")
+
+
+if __name__ == "__main__":
+    main()
