@@ -29,6 +29,7 @@ pub mod shrink;
 pub mod sliced;
 pub mod solvers;
 pub mod sparse;
+pub mod sphere;
 pub mod threads;
 pub mod view;
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sparse
 
-from . import arrays, spherical
+from . import _core, arrays, spherical
 from .arrays import Floats, Ints
 from .errors import Cancelled, InputError, NumericalError, TopologyError
 from .moebius import Moebius
@@ -329,13 +329,13 @@ def _corner_cotangents(vertices: Floats, faces: Faces) -> tuple[Floats, Floats]:
     edges = [p[2] - p[1], p[0] - p[2], p[1] - p[0]]  # opposite to each corner
     u, v = edges[2], edges[1]
     if vertices.shape[1] == 3:
-        double = np.linalg.norm(np.cross(u, v), axis=1)
+        double = _length(_cross(u, v))
     else:
-        gram = (u * u).sum(1) * (v * v).sum(1) - (u * v).sum(1) ** 2
+        gram = _rows(u, u) * _rows(v, v) - _rows(u, v) ** 2
         double = np.sqrt(np.maximum(gram, 0.0))
     for k in range(3):
         with np.errstate(divide="ignore", invalid="ignore"):
-            cotangents[:, k] = -(edges[(k + 1) % 3] * edges[(k + 2) % 3]).sum(1) / double
+            cotangents[:, k] = -_rows(edges[(k + 1) % 3], edges[(k + 2) % 3]) / double
     return cotangents, 0.5 * double
 
 
@@ -343,11 +343,8 @@ def _corner_angles(vertices: Floats, faces: Faces) -> Floats:
     angles = np.empty((len(faces), 3))
     for k in range(3):
         a, b = vertices[faces[:, (k + 1) % 3]] - vertices[faces[:, k]], vertices[faces[:, (k + 2) % 3]] - vertices[faces[:, k]]
-        dot = (a * b).sum(1)
-        if vertices.shape[1] == 3:
-            cross = np.linalg.norm(np.cross(a, b), axis=1)
-        else:
-            cross = np.sqrt(np.maximum((a * a).sum(1) * (b * b).sum(1) - dot**2, 0.0))
+        dot = _rows(a, b)
+        cross = _length(_cross(a, b)) if vertices.shape[1] == 3 else np.sqrt(np.maximum(_rows(a, a) * _rows(b, b) - dot ** 2, 0.0))
         angles[:, k] = np.arctan2(cross, dot)
     return angles
 
@@ -355,7 +352,7 @@ def _corner_angles(vertices: Floats, faces: Faces) -> Floats:
 def _determinants(s: Floats, faces: Faces) -> Floats:
     """p . ((q - p) x (r - p)) of each image triangle: by differences, for p . (q x r) is rounding noise on small triangles."""
     p = s[faces[:, 0]]
-    found: Floats = np.einsum("ij,ij->i", p, np.cross(s[faces[:, 1]] - p, s[faces[:, 2]] - p))
+    found: Floats = np.einsum("ij,ij->i", p, _cross(s[faces[:, 1]] - p, s[faces[:, 2]] - p))
     return found
 
 
@@ -374,37 +371,24 @@ class _Surface:
         if weights is not None:
             self.cotangents, self.areas = self.cotangents * weights[:, None], self.areas * weights
         self.mass = _lumped(self.areas, faces, self.count)
-        corners = faces.T.ravel()
-        self._gather = sparse.csr_array((np.ones(len(corners)), (corners, np.arange(len(corners)))), (self.count, len(corners)))
+        self._corners = np.ascontiguousarray(faces, np.int32)
 
     def energy_and_area(self, s: Floats) -> tuple[float, float]:
         """E by the mesh's own cotangents, A with the sign of each triangle's determinant."""
         p, q, r = (s[self.faces[:, k]] for k in range(3))
         e = (r - q, p - r, q - p)
-        energy = 0.25 * sum(float((self.cotangents[:, k] * (e[k] * e[k]).sum(1)).sum()) for k in range(3))
-        cross = np.cross(e[2], -e[1])
-        area = 0.5 * float((np.linalg.norm(cross, axis=1) * self._signs((p * cross).sum(1))).sum())
+        energy = 0.25 * sum(float((self.cotangents[:, k] * _rows(e[k], e[k])).sum()) for k in range(3))
+        cross = _cross(e[2], -e[1])
+        area = 0.5 * float((_length(cross) * self._signs(_rows(p, cross))).sum())
         return energy, area
 
     def _signs(self, determinants: Floats) -> Floats:
         found: Floats = np.sign(determinants) if self.weights is None else self.weights
         return found
 
-    def gradient(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """Gradient of E - A (n, 3), face by face from edge differences; lumped image areas; E - A of each face."""
-        p, q, r = (s[self.faces[:, k]] for k in range(3))
-        e = (r - q, p - r, q - p)
-        cross = np.cross(e[2], -e[1])
-        double = np.linalg.norm(cross, axis=1)
-        sign = self._signs((p * cross).sum(1))
-        normal = cross * np.divide(0.5 * sign, double, out=np.zeros_like(double), where=double > 0)[:, None]
-        w = [0.5 * self.cotangents[:, k, None] * e[k] for k in range(3)]
-        # Corner k is the end of edge k + 1 and the start of edge k + 2 (edge k lies opposite to it).
-        parts = [w[(k + 1) % 3] - w[(k + 2) % 3] - np.cross(normal, e[k]) for k in range(3)]
-        gradient: Floats = self._gather @ np.concatenate(parts)
-        excess = 0.25 * sum(self.cotangents[:, k] * (e[k] * e[k]).sum(1) for k in range(3)) - 0.5 * sign * double
-        shown = 0.5 * double if self.weights is None else 0.5 * double * self.weights
-        return gradient, _lumped(shown, self.faces, self.count), excess
+    def gradient(self, s: Floats) -> tuple[Floats, Floats, float]:
+        """Gradient of E - A (n, 3), face by face from edge differences; lumped image areas; E - A."""
+        return _core.excess_gradient(np.ascontiguousarray(s), self._corners, self.cotangents, self.weights)
 
     def regularize(self) -> None:
         """Degenerate triangles count as equilateral ones of hardly any area, so that the repair can deal with them."""
@@ -422,35 +406,49 @@ class _Surface:
 # --- Möbius maps --------------------------------------------------------------------------------------------------------------------
 
 
-def _unit(s: Floats) -> Floats:
-    """Rows of length 1."""
-    norms = np.sqrt((s * s).sum(1))
-    found: Floats = s / norms[:, None]
+def _rows(a: Floats, b: Floats) -> Floats:
+    """Inner product of each row."""
+    found: Floats = np.einsum("ij,ij->i", a, b)
     return found
 
 
-def _translated(s: Floats, c: Floats) -> Floats:
-    """The Möbius map of the ball that takes -c to 0: (1 - |c|²) (s + c) / |s + c|² + c."""
-    d = s + c
-    return _unit(d * ((1 - c @ c) / (d * d).sum(1))[:, None] + c)
+def _length(a: Floats) -> Floats:
+    """Length of each row."""
+    found: Floats = np.sqrt(_rows(a, a))
+    return found
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Cross product of each row; numpy's is several times slower."""
+    out = np.empty_like(a)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        out[:, k] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
+    return out
+
+
+def _unit(s: Floats) -> Floats:
+    """Rows of length 1."""
+    found: Floats = s / np.sqrt(_rows(s, s))[:, None]
+    return found
 
 
 def centring_steps(s: Floats, mass: Floats, most: int = 100) -> tuple[list[Floats], Floats]:
     """Translations whose product makes the mean, weighted by the mass, zero (Baden, Crane and Kazhdan 2018), and the centred points."""
-    weights = mass / mass.sum()
-    mean = weights @ s
+    weights, s = mass / mass.sum(), np.ascontiguousarray(s)
+    mean = np.einsum("i,ij->j", weights, s)
     best = float(np.linalg.norm(mean))
     steps: list[Floats] = []
     for _ in range(most):
         if best < 3e-16:
             break
-        jacobian = 2 * (np.eye(3) - (s * weights[:, None]).T @ s)
+        jacobian = 2 * (np.eye(3) - np.einsum("ij,ik->jk", s * weights[:, None], s))
         c = -np.linalg.solve(jacobian + 1e-14 * np.eye(3), mean)
         length = float(np.linalg.norm(c))
         c *= min(1.0, 0.75 / length) if length > 0 else 1.0
         for _ in range(30):
-            moved = _translated(s, c)
-            mean_moved = weights @ moved
+            moved, total = _core.moebius_translated(s, (float(c[0]), float(c[1]), float(c[2])), weights)
+            mean_moved = np.array(total)
             size = float(np.linalg.norm(mean_moved))
             if size < best:
                 break
@@ -473,7 +471,7 @@ def _centred(s: Floats, mass: Floats) -> Floats:
 
 
 def _tangential(vectors: Floats, s: Floats) -> Floats:
-    found: Floats = vectors - (vectors * s).sum(1)[:, None] * s
+    found: Floats = vectors - _rows(vectors, s)[:, None] * s
     return found
 
 
@@ -498,8 +496,8 @@ def _start(surface: _Surface, solve: Callable[[Floats], Floats]) -> Floats:
     right /= np.abs(right).max()
     z = solve(right)
     z = z - np.median(z, axis=0)
-    z = z / np.median(np.sqrt((z * z).sum(1)))
-    square = (z * z).sum(1)
+    z = z / np.median(np.sqrt(_rows(z, z)))
+    square = _rows(z, z)
     s = np.column_stack([2 * z, square - 1]) / (1 + square)[:, None]
     if surface.weights is None and np.sign(_determinants(s, f)).sum() < 0:
         s[:, 1] *= -1
@@ -550,13 +548,13 @@ def _descend(
     for step in range(steps):
         g, image_areas, excess = gradient(s)
         g = _tangential(g, s)
-        share = (image_areas / image_areas.sum())[:, None]
-        g -= share * g.sum(0)
+        share = image_areas / image_areas.sum()
+        g -= share[:, None] * np.einsum("ij->j", g)
         d = solve(g)
-        d -= (share * d).sum(0)
+        d -= np.einsum("i,ij->j", share, d)
         image = _centred(_unit(s - _tangential(d, s)), surface.mass)
         residuals, images = [*residuals[-3:], image - s], [*images[-3:], image]
-        move = float(np.sqrt(weights @ (residuals[-1] ** 2).sum(1)))
+        move = float(np.sqrt((weights * _rows(residuals[-1], residuals[-1])).sum()))
         trace.move.append(move)
         trace.excess.append(excess)
         s = _centred(_unit(_anderson(residuals, images, weights)), surface.mass)
@@ -572,7 +570,7 @@ def _descend(
 
 def _cayley_step(s: Floats, h: Floats, tau: float) -> Floats:
     """(I + τ/2 A)^-1 (I - τ/2 A) s with A = h s^T - s h^T (8.28): A has rank two, so a turn in the plane of s and h. h is tangential."""
-    square = (0.25 * tau * tau * (h * h).sum(1))[:, None]
+    square = (0.25 * tau * tau * _rows(h, h))[:, None]
     return _unit(((1 - square) * s - tau * h) / (1 + square))
 
 
@@ -603,13 +601,13 @@ def _cayley(
             h = metric(g - share * g.sum(0))
             h = _tangential(h - (share * h).sum(0), s)
         h = h - _tangential(np.broadcast_to(np.linalg.solve(moebius, mass @ h), s.shape), s)
-        return float(excess.sum()), g, h
+        return excess, g, h
 
     trace = _Trace()
     value, g, h = evaluate(s)
     reference, count, tau = value, 1.0, 1.0 if metric is not None else float((mass / np.maximum(stiffness.diagonal(), 1e-300)).min())
     for step in range(steps):
-        residual = float(np.sqrt(mass @ (h * h).sum(1) / mass.sum()))
+        residual = float(np.sqrt(mass @ _rows(h, h) / mass.sum()))
         trace.move.append(residual)
         trace.excess.append(value)
         report((step + 1) / steps)
@@ -665,20 +663,20 @@ class _Patch:
         first /= np.linalg.norm(first)
         self.frame = np.stack([first, np.cross(self.centre, first)])
         away = here - self.centre
-        z = 2 * (away @ self.frame.T) / (4 - (away * away).sum(1))[:, None]
-        self.scale = float(np.sqrt((z * z).sum(1).max()))
+        z = 2 * (away @ self.frame.T) / (4 - _rows(away, away))[:, None]
+        self.scale = float(np.sqrt(_rows(z, z).max()))
         self.z = z / self.scale
 
     def lifted(self, z: Floats) -> Floats:
         """Sphere positions minus the centre of the chart, over the scale."""
-        square = self.scale**2 * (z * z).sum(1)
+        square = self.scale**2 * _rows(z, z)
         found: Floats = (2 * (z @ self.frame) - (2 / self.scale * square)[:, None] * self.centre) / (1 + square)[:, None]
         return found
 
     def pulled(self, z: Floats, lifted: Floats, gradient: Floats) -> Floats:
         """A gradient by lifted positions as one by chart coordinates."""
-        denominator = (1 + self.scale**2 * (z * z).sum(1))[:, None]
-        along = -2 * self.scale**2 * (gradient * lifted).sum(1)[:, None] * z
+        denominator = (1 + self.scale**2 * _rows(z, z))[:, None]
+        along = -2 * self.scale**2 * _rows(gradient, lifted)[:, None] * z
         across = 2 * (gradient @ self.frame.T) - 4 * self.scale * (gradient @ self.centre)[:, None] * z
         found: Floats = (across + along) / denominator
         return found
@@ -688,9 +686,10 @@ class _Patch:
         x = self.lifted(z)
         p, q, r = (x[self.faces[:, k]] for k in range(3))
         e = (r - q, p - r, q - p)
-        energy = 0.25 * sum(self.cotangents[:, k] * (e[k] * e[k]).sum(1) for k in range(3))
+        squares = np.stack([_rows(one, one) for one in e], axis=1)
+        energy = 0.25 * _rows(self.cotangents, squares)
         base = self.centre + self.scale * p
-        determinant = 0.5 * (base * np.cross(e[2], -e[1])).sum(1)
+        determinant = 0.5 * _rows(base, _cross(e[2], -e[1]))
         return x, energy, determinant, e
 
     def sizes(self, z: Floats) -> Floats:
@@ -714,8 +713,8 @@ class _Patch:
         w = [by_energy * self.cotangents[:, k, None] * e[k] for k in range(3)]
         p = self.centre + self.scale * x[self.faces[:, 0]]
         gradient = np.zeros_like(x)
-        by_q, by_r = 0.5 * np.cross(-e[1], p), 0.5 * np.cross(p, e[2])
-        area = [0.5 * self.scale * np.cross(e[2], -e[1]) - by_q - by_r, by_q, by_r]
+        by_q, by_r = 0.5 * _cross(-e[1], p), 0.5 * _cross(p, e[2])
+        area = [0.5 * self.scale * _cross(e[2], -e[1]) - by_q - by_r, by_q, by_r]
         for k in range(3):
             here = w[(k + 1) % 3] - w[(k + 2) % 3] + by_determinant * area[k]
             for axis in range(3):
@@ -1054,7 +1053,7 @@ class _Task:
 
         def gradient(s: Floats) -> tuple[Floats, Floats, float]:
             g, areas, excess = surface.gradient(s)
-            return (stiffness @ s if energy_only else g), areas, float(excess.sum())
+            return (stiffness @ s if energy_only else g), areas, excess
 
         def later(share: float) -> None:
             self.report(0.4 + 0.5 * share)
@@ -1104,7 +1103,7 @@ def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult
     vertices, size = _scaled(whole.vertices)
     if vertices.shape[1] == 3:
         p = vertices[faces[:, 0]]
-        volume = float(np.einsum("ij,ij->", p, np.cross(vertices[faces[:, 1]], vertices[faces[:, 2]])))
+        volume = float(np.einsum("ij,ij->", p, _cross(vertices[faces[:, 1]], vertices[faces[:, 2]])))
         if volume < 0:
             faces = np.ascontiguousarray(faces[:, [0, 2, 1]])
     surface = _Surface(vertices, faces)
@@ -1160,7 +1159,7 @@ def _map_cloud(cloud: PointCloud, given: Operators | None, task: _Task) -> Spher
     turned = np.where(_determinants(s, faces) < 0, -1.0, 1.0)
     if vertices.shape[1] == 3:
         p, q, r = (vertices[faces[:, k]] for k in range(3))
-        if float((turned * ops.votes * (p * np.cross(q, r)).sum(1)).sum()) < 0:
+        if float((turned * ops.votes * _rows(p, _cross(q, r))).sum()) < 0:
             s = _centred(s * [1.0, 1.0, -1.0], surface.mass)
             turned = -turned
     energy, area = surface.energy_and_area(s)
@@ -1186,7 +1185,7 @@ def _euler(faces: Faces) -> int:
 
 def _solid_angles(s: Floats, faces: Faces) -> Floats:
     p, q, r = (s[faces[:, k]] for k in range(3))
-    found: Floats = 2 * np.arctan2(_determinants(s, faces), 1 + (p * q).sum(1) + (q * r).sum(1) + (r * p).sum(1))
+    found: Floats = 2 * np.arctan2(_determinants(s, faces), 1 + _rows(p, q) + _rows(q, r) + _rows(r, p))
     return found
 
 
@@ -1237,7 +1236,7 @@ def _certified(
     energy, area = surface.energy_and_area(s)
     p, q, r = (s[faces[:, k]] for k in range(3))
     e = (r - q, p - r, q - p)
-    each = 0.25 * sum(surface.cotangents[:, k] * (e[k] * e[k]).sum(1) for k in range(3)) / weights
+    each = 0.25 * sum(surface.cotangents[:, k] * _rows(e[k], e[k]) for k in range(3)) / weights
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.maximum(each / image, 1.0)
         dilatation = np.where(image > 0, ratio + np.sqrt(ratio * ratio - 1), np.inf)

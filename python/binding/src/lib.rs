@@ -17,6 +17,7 @@ mod sampling;
 mod shape;
 mod shrink;
 mod sliced;
+mod sphere;
 mod threads;
 mod view;
 
@@ -55,6 +56,8 @@ mod _core {
     use super::shrink::{Elements, constrain};
     #[pymodule_export]
     use super::sliced::{SlicedAlignment, sliced_distance};
+    #[pymodule_export]
+    use super::sphere::{excess_gradient, moebius_translated};
     #[pymodule_export]
     use super::threads::{num_threads, set_num_threads};
     #[pymodule_export]
