@@ -43,5 +43,12 @@ docs: build ## the site: site/index.html, with a reference of all names
 	cargo doc --no-deps --quiet
 	$(BIN)/python docs/build.py
 
+bench: build ## times of the kernels, and side by side with other libraries where they are installed
+	cargo bench --quiet
+	@for script in benches/peers/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+slow: build ## the sweeps that take minutes
+	$(BIN)/python -m pytest -q -m slow
+
 clean: ## remove what was built
 	rm -rf target .venv gallery site

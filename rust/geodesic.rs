@@ -72,7 +72,12 @@ impl HeatMethod {
     /// definite; [`Error::Cancelled`] on request.
     pub fn new(shape: HeatOperators, time_factor: f64, control: &Control) -> Result<Self> {
         let (n, m) = (shape.stiffness.rows(), shape.areas.len());
-        if shape.mass.len() != n || shape.boundary.len() != n || shape.gradient.columns() != n || m == 0 || shape.gradient.rows() % m != 0 {
+        if shape.mass.len() != n
+            || shape.boundary.len() != n
+            || shape.gradient.columns() != n
+            || m == 0
+            || !shape.gradient.rows().is_multiple_of(m)
+        {
             return Err(Error::input(format!(
                 "operators do not fit together: {n} rows of the stiffness, {} masses, {} boundary flags, a {} x {} gradient on {m} simplices",
                 shape.mass.len(),

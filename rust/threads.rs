@@ -44,10 +44,8 @@ fn wanted() -> Result<usize> {
 fn pool() -> Result<Arc<ThreadPool>> {
     let process = std::process::id();
     let mut guard = POOL.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(pool) = guard.as_ref() {
-        if pool.process == process {
-            return Ok(pool.threads.clone());
-        }
+    if let Some(pool) = guard.as_ref().filter(|pool| pool.process == process) {
+        return Ok(pool.threads.clone());
     }
     let threads = build(wanted()?)?;
     if let Some(parents) = guard.replace(Pool { process, threads: threads.clone() }) {

@@ -83,10 +83,10 @@ pub fn eigenpairs(matrix: &Csr, mass: Mass, k: usize, options: &EigenOptions, co
     if k == 0 {
         return Err(Error::input("0 eigenpairs were asked for; ask for at least 1"));
     }
-    if let Some((numbers, width)) = options.start {
-        if width == 0 || numbers.len() != n * width || numbers.iter().any(|number| !number.is_finite()) {
-            return Err(Error::input(format!("start has {} numbers, not {n} rows of {width} finite ones", numbers.len())));
-        }
+    if let Some((numbers, width)) = options.start
+        && (width == 0 || numbers.len() != n * width || numbers.iter().any(|number| !number.is_finite()))
+    {
+        return Err(Error::input(format!("start has {} numbers, not {n} rows of {width} finite ones", numbers.len())));
     }
     if let Mass::Diagonal(diagonal) = mass {
         if let Some(row) = diagonal.iter().position(|&entry| !(entry >= 0.0 && entry.is_finite())) {
