@@ -84,6 +84,6 @@ pub fn vector_out<T: Element>(py: Python<'_>, numbers: Vec<T>) -> Bound<'_, PyAr
 
 /// A table on its way to Python, without a copy: `numbers` row after row.
 pub fn table_out<T: Element>(py: Python<'_>, numbers: Vec<T>, columns: usize) -> PyResult<Bound<'_, PyArray2<T>>> {
-    let rows = if columns == 0 { 0 } else { numbers.len() / columns };
+    let rows = numbers.len().checked_div(columns).unwrap_or(0);
     numbers.into_pyarray(py).reshape([rows, columns])
 }

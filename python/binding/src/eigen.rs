@@ -10,7 +10,6 @@ type Found<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>, Bound<'
 
 /// The k smallest eigenpairs of a pencil, the mass a diagonal or a matrix: values, vectors (n, k), residuals, blocks.
 #[pyfunction]
-#[allow(clippy::too_many_arguments)] // one flat call from Python
 pub fn eigenpairs<'py>(
     py: Python<'py>,
     matrix: CsrArrays<'py>,

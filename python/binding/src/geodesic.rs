@@ -14,7 +14,6 @@ pub struct HeatMethod(geodesic::HeatMethod);
 #[pymethods]
 impl HeatMethod {
     #[new]
-    #[allow(clippy::too_many_arguments)] // one flat call from Python
     fn new(
         py: Python<'_>,
         stiffness: CsrArrays<'_>,

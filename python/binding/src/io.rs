@@ -121,7 +121,6 @@ pub fn load_bytes<'py>(
 
 /// Writes a file; returns the names of the data that the format has no place for.
 #[pyfunction]
-#[allow(clippy::too_many_arguments)] // as many as the Python side hands over
 pub fn save_file<'py>(
     py: Python<'py>,
     path: PathBuf,

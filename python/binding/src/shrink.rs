@@ -59,7 +59,6 @@ impl Elements {
     }
 
     /// One sweep of shrinkage; `split`, `dual` and `flux` are written.
-    #[allow(clippy::too_many_arguments)]
     fn shrink(
         &self,
         py: Python<'_>,
@@ -84,7 +83,6 @@ impl Elements {
 
 /// One sweep of the nodes' constraint; `split`, `dual` and `right` are written.
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 pub fn constrain(
     py: Python<'_>,
     values: PyReadonlyArray2<'_, f64>,
