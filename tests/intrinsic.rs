@@ -237,7 +237,7 @@ proptest! {
 
     /// Numbering vertices and faces otherwise, moving and scaling change nothing but rounding.
     #[test]
-    fn depends_on_the_geometry_alone(shift in 1usize..200, scale in 0.01f64..100.0, angle in 0.0f64..6.28) {
+    fn depends_on_the_geometry_alone(shift in 1usize..200, scale in 0.01f64..100.0, angle in 0.0f64..std::f64::consts::TAU) {
         // roughened: on a symmetric shape four vertices can lie on a circle, and then either diagonal is Delaunay
         let egg = make::ellipsoid(5, [1.0, 0.37, 0.11]).unwrap();
         let rough = egg.vertices().iter().enumerate().map(|(i, x)| x * (1.0 + 1e-3 * ((i * i) % 97) as f64)).collect::<Vec<_>>();
