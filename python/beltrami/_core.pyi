@@ -10,7 +10,65 @@ from .arrays import CsrArrays as CsrArrays
 from .arrays import Floats as Floats
 from .arrays import Ints as Ints
 
-CsrParts = tuple[Floats, npt.NDArray[np.integer], npt.NDArray[np.integer]]
+__all__ = [
+    "Cholesky",
+    "Elements",
+    "HeatMethod",
+    "LaplacianSolver",
+    "SlicedAlignment",
+    "check_mesh",
+    "closest_points",
+    "constrain",
+    "cotangent_operators",
+    "divergence",
+    "eigenpairs",
+    "face_areas",
+    "farthest_points",
+    "first_copies",
+    "galerkin_mass",
+    "gradient",
+    "intersect_rays",
+    "intrinsic_divergence",
+    "intrinsic_gradient",
+    "intrinsic_operators",
+    "level_set",
+    "load_bytes",
+    "load_file",
+    "local_edge_length",
+    "local_gradient",
+    "local_mass",
+    "local_mesh",
+    "local_stiffness",
+    "local_volumes",
+    "make_cylinder",
+    "make_disc",
+    "make_ellipsoid",
+    "make_flat_torus",
+    "make_grid",
+    "make_knot",
+    "make_star",
+    "make_tori",
+    "make_torus",
+    "moving_least_squares",
+    "nearest_neighbors",
+    "neighbors_within",
+    "normals",
+    "num_threads",
+    "oriented_faces",
+    "paint",
+    "png",
+    "poisson_disc",
+    "save_file",
+    "set_num_threads",
+    "sliced_distance",
+    "strokes",
+    "thinnest_face",
+    "topology",
+    "triangulate",
+    "weld",
+]
+
+_CsrParts = tuple[Floats, npt.NDArray[np.integer], npt.NDArray[np.integer]]
 
 # io
 def load_file(
@@ -33,7 +91,7 @@ def weld(
     vertices: Floats, faces: Ints, data: list[tuple[str, npt.NDArray[Any]]]
 ) -> tuple[Floats, Ints, list[tuple[str, npt.NDArray[Any]]]]: ...
 
-SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
+_SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
 
 # local_mesh
 def local_mesh(
@@ -43,11 +101,11 @@ def local_mesh(
     normals: Floats | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[Ints, npt.NDArray[np.uint8], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Floats, Floats, Floats, float]: ...
-def local_stiffness(mesh: SimplexArrays, potential: Floats | None = None) -> CsrParts: ...
-def local_mass(mesh: SimplexArrays) -> Floats: ...
-def local_edge_length(mesh: SimplexArrays) -> float: ...
-def local_volumes(mesh: SimplexArrays) -> Floats: ...
-def local_gradient(mesh: SimplexArrays) -> CsrParts: ...
+def local_stiffness(mesh: _SimplexArrays, potential: Floats | None = None) -> _CsrParts: ...
+def local_mass(mesh: _SimplexArrays) -> Floats: ...
+def local_edge_length(mesh: _SimplexArrays) -> float: ...
+def local_volumes(mesh: _SimplexArrays) -> Floats: ...
+def local_gradient(mesh: _SimplexArrays) -> _CsrParts: ...
 
 # mls
 def moving_least_squares(
@@ -59,16 +117,16 @@ def moving_least_squares(
     constrained: bool = True,
     normals: Floats | None = None,
     progress: Callable[[float], object] | None = None,
-) -> tuple[CsrParts, CsrParts, npt.NDArray[np.uint32], float]: ...
+) -> tuple[_CsrParts, _CsrParts, npt.NDArray[np.uint32], float]: ...
 
 # intrinsic
 _TriangulationArrays = tuple[int, Ints, Ints, Floats, bool]
 
 def intrinsic_operators(
     mesh: tuple[Floats, Ints], cover: bool, voronoi: bool, progress: Callable[[float], object] | None = None
-) -> tuple[CsrParts, Floats, tuple[Ints, Ints, Floats, Floats], float, tuple[int, int, int]]: ...
-def intrinsic_gradient(triangulation: _TriangulationArrays) -> CsrParts: ...
-def intrinsic_divergence(triangulation: _TriangulationArrays, mass: Floats) -> CsrParts: ...
+) -> tuple[_CsrParts, Floats, tuple[Ints, Ints, Floats, Floats], float, tuple[int, int, int]]: ...
+def intrinsic_gradient(triangulation: _TriangulationArrays) -> _CsrParts: ...
+def intrinsic_divergence(triangulation: _TriangulationArrays, mass: Floats) -> _CsrParts: ...
 def thinnest_face(mesh: tuple[Floats, Ints]) -> tuple[int, float] | None: ...
 
 # levelset
@@ -158,10 +216,10 @@ def neighbors_within(
 ) -> tuple[npt.NDArray[np.int64], Ints, Floats]: ...
 
 # operators
-def cotangent_operators(mesh: tuple[Floats, Ints], voronoi: bool) -> tuple[CsrParts, Floats, float]: ...
-def gradient(mesh: tuple[Floats, Ints]) -> CsrParts: ...
-def divergence(mesh: tuple[Floats, Ints], mass: Floats) -> CsrParts: ...
-def galerkin_mass(mesh: tuple[Floats, Ints]) -> CsrParts: ...
+def cotangent_operators(mesh: tuple[Floats, Ints], voronoi: bool) -> tuple[_CsrParts, Floats, float]: ...
+def gradient(mesh: tuple[Floats, Ints]) -> _CsrParts: ...
+def divergence(mesh: tuple[Floats, Ints], mass: Floats) -> _CsrParts: ...
+def galerkin_mass(mesh: tuple[Floats, Ints]) -> _CsrParts: ...
 
 # sampling
 def first_copies(points: Floats) -> npt.NDArray[np.bool_]: ...
