@@ -33,7 +33,7 @@ RELAXATION = 1.8  # of 1 to 2; 1.9 and 1 take more sweeps
 CHECK = 10  # sweeps between two certificates
 STRENGTH = 3.0  # most that the nodes' penalty may exceed the image's pull
 BALANCE = 50  # sweeps after which the penalty may be changed
-PENALTY = 0.5  # of denoising, for an image of range 1
+PENALTY = 0.08  # of denoising, for an image of standard deviation 1
 
 
 # --- what both methods stand on ----------------------------------------------------------------------------------------------------
@@ -902,16 +902,18 @@ def denoise(
     if len(blind):
         at = int(np.flatnonzero(pieces == blind[0])[0])
         raise InputError(f"the piece of the shape with vertex {at} has no known value; take it out or make its mask True somewhere")
-    # The image's range is the unit of its values, so that one penalty fits all.
+    # The image's deviation is the unit of its values, so that one penalty fits all.
     low, high = data[known].min(0), data[known].max(0)
-    unit = float((high - low).max())
+    share = surface.mass[known] / max(surface.mass[known].sum(), 1e-300)
+    centre = share @ data[known]
+    span = float((high - low).max())
+    unit = span * float(np.sqrt(share @ np.square((data[known] - centre) / span).sum(1))) if span > 0 else 0.0
     if unit <= 0:
         empty = np.zeros((elements_count(surface), data.shape[1] * (surface.corners.shape[1] - 1 if tv == "isotropic" else 1)))
-        filled = np.broadcast_to(low, data.shape).copy()
+        filled = np.where(known[:, None], data, low)
         history: dict[str, npt.NDArray[Any]] = {name: np.zeros(0) for name in ("iteration", "primal", "dual", "gap")}
         fields = surface.fields(empty, data.shape[1])
         return DenoisingResult(surface.operators.shape, filled[:, 0] if flat else filled, 0.0, 0.0, 0.0, fields, fidelity, 0, True, history)
-    centre = 0.5 * (low + high)
     target = (data - centre) / unit * known[:, None]
     least, greatest = (low - centre) / unit, (high - centre) / unit
     weight = fidelity * unit
