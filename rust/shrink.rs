@@ -260,17 +260,28 @@ impl Elements {
         if !(how.penalty > 0.0 && how.radius >= 0.0 && how.relaxation > 0.0 && how.relaxation < 2.0) {
             return Err(Error::input(format!("{how:?}: penalty and radius must be positive, relaxation between 0 and 2")));
         }
-        let found = match self.corners {
-            2 => self.sweep::<2>(f, how, split, dual, scratch),
-            3 => self.sweep::<3>(f, how, split, dual, scratch),
-            _ => self.sweep::<4>(f, how, split, dual, scratch),
+        // Known numbers of channels let the compiler unroll the loops over them.
+        let found = match (self.corners, how.channels) {
+            (2, _) => self.sweep::<2, 0>(f, how, split, dual, scratch),
+            (3, 1) => self.sweep::<3, 1>(f, how, split, dual, scratch),
+            (3, 3) => self.sweep::<3, 3>(f, how, split, dual, scratch),
+            (3, _) => self.sweep::<3, 0>(f, how, split, dual, scratch),
+            _ => self.sweep::<4, 0>(f, how, split, dual, scratch),
         };
         self.gather(&scratch.corners, how.channels, flux);
         Ok(found)
     }
 
-    fn sweep<const S: usize>(&self, f: &[f64], how: Shrinkage, split: &mut [f64], dual: &mut [f64], scratch: &mut Scratch) -> (f64, f64) {
+    fn sweep<const S: usize, const C: usize>(
+        &self,
+        f: &[f64],
+        how: Shrinkage,
+        split: &mut [f64],
+        dual: &mut [f64],
+        scratch: &mut Scratch,
+    ) -> (f64, f64) {
         let Shrinkage { channels, joint, radius, penalty, relaxation } = how;
+        let channels = if C > 0 { C } else { channels };
         let (side, inverse, threshold) = (S - 1, 1.0 / penalty, radius / penalty);
         scratch.corners.resize(self.indices.len() * channels, 0.0);
         let parts: Vec<(f64, f64)> = scratch
