@@ -29,6 +29,7 @@ ORDER = (
 MODULES = ("shapes", "examples", "colors", "contours", "clouds", "intrinsic", "sliced", "conformal", "costs", "gallery")
 CURRENT = ' aria-current="page"'
 Groups = dict[str, list[tuple[str, str]]]  # heading: (file without suffix, title)
+INDEX = re.compile(r"\b([A-Za-zα-ω])_(\w{1,2})\b")  # m_i, A_T, L_ij
 SECTION = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}$", re.M)
 
 
@@ -56,6 +57,8 @@ def to_html(text: str) -> str:
     """HTML of Markdown; links to pages of the folder become links to their HTML."""
     body = markdown.markdown(text, extensions=["tables", "fenced_code", "toc", "sane_lists"])
     body = re.sub(r'href="(?!https?:)([\w/-]+)\.md(#[^"]*)?"', lambda m: f'href="{m[1]}.html{m[2] or ""}"', body)
+    pieces = re.split(r"(<pre>.*?</pre>|<code>.*?</code>|<[^>]+>)", body, flags=re.S)  # every other one is code or a tag
+    body = "".join(piece if at % 2 else INDEX.sub(r"\1<sub>\2</sub>", piece) for at, piece in enumerate(pieces))
     return body.replace("<table>", '<div class="scroll"><table>').replace("</table>", "</table></div>")
 
 
@@ -139,6 +142,7 @@ def signature(name: str, item: Any) -> str:
         text = str(inspect.signature(item))
     except (TypeError, ValueError):
         return name
+    text = re.sub(r" -> '?None'?$", "", text) if inspect.isclass(item) else text
     text = re.sub(r"\b(?:beltrami|numpy|typing|collections\.abc|np|npt)\.(?:\w+\.)*", "", text)
     return name + text.replace("'", "") if len(name + text) < 100 else name + re.sub(r", (?=\*|\w+:)", ",\n    ", text.replace("'", ""))
 
@@ -233,7 +237,11 @@ def build(out: Path, rust: Path | None = None) -> list[Path]:
         written.append(out / f"{stem}.html")
 
     for stem, title in [item for group, listed in groups.items() if group != "Reference" for item in listed]:
-        write(stem, title, to_html((HERE / f"{stem}.md").read_text(encoding="utf-8")))
+        body = to_html((HERE / f"{stem}.md").read_text(encoding="utf-8"))
+        if stem == "index" and "Methods" in groups:
+            listed = "".join(f'<li><a href="{page}.html">{name}</a></li>' for page, name in groups["Methods"])
+            body += f"<h2>Methods</h2><ul>{listed}</ul>"
+        write(stem, title, body)
     rows = []
     for module, names in found.items():
         write(f"reference_{module}", module, module_page(module, names, known))

@@ -10,10 +10,12 @@ FOLDER = Path(__file__).resolve().parent / "images"
 def main() -> None:
     """All pictures of the pages."""
     spot, torus = bt.examples.spot(), bt.shapes.torus(rows=90, columns=40)
-    distance = bt.geodesic_distance(spot, 0)
+    front, tail = "three-quarter back", int(spot.vertices[:, 2].argmax())  # Spot looks along -z
+    distance = bt.geodesic_distance(spot, tail)
     modes = bt.eigenpairs(spot, 8)
-    bt.plot(spot, distance, contours=20, points=[0], label="distance", size=(760, 520), path=FOLDER / "distance.png")
-    bt.plot(spot, {f"λ = {modes.values[at]:.1f}": modes.functions[:, at] for at in (1, 4, 7)}, contours=[0.0], color_bar=False,
+    bt.plot(spot, distance, contours=20, points=[tail], label="distance", views=[front, "three-quarter"],
+            size=(940, 440), path=FOLDER / "distance.png")  # fmt: skip
+    bt.plot(spot, {f"λ = {modes.values[at]:.1f}": modes.functions[:, at] for at in (1, 4, 7)}, contours=[0.0], color_bar=False, views=front,
             size=(1000, 400), path=FOLDER / "modes.png")  # fmt: skip
     source = torus.vertices[:, 0] * torus.vertices[:, 1]
     bt.plot(torus, bt.solve_poisson(torus, source), contours=14, up="z", label="u", size=(700, 400), path=FOLDER / "poisson.png")

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from . import examples, shapes
-from ._core import num_threads, set_num_threads
 from .conformal import SphericalMapResult, spherical_map
 from .eigen import Eigenpairs, eigenpairs
 from .errors import (
@@ -31,6 +30,7 @@ from .shapes import PointCloud, TriangleMesh
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 from .solvers import Cholesky, PoissonSolver, solve_poisson
 from .spherical import SphericalHarmonics, SurfaceMap
+from .threads import num_threads, set_num_threads
 from .view import Page, Picture, plot
 
 __version__ = "0.1.0"

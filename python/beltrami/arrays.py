@@ -110,7 +110,7 @@ def indices(value: Any, name: str, count: int, *, empty: bool = False) -> npt.ND
             raise InputError(f"{name} is a mask of {len(array)}, the shape has {count} vertices")
         array = np.flatnonzero(array)
     elif array.size and array.dtype.kind == "f":
-        raise InputError(f"{name} holds {array[0]!r}; whole numbers are needed")
+        raise InputError(f"{name} holds {array[0]:g}; whole numbers are needed")
     if array.size == 0 and not empty:
         raise InputError(f"{name} is empty; name at least one vertex")
     wrong = (array < 0) | (array >= count)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +16,7 @@ from .errors import InputError
 from .operators import Operators, operators
 from .progress import Progress, reporter
 from .shapes import Shape
+from .view import Page, Picture, plot
 
 __all__ = ["Eigenpairs", "eigenpairs"]
 
@@ -45,6 +48,41 @@ class Eigenpairs:
     def __repr__(self) -> str:
         n, k = self.functions.shape
         return f"Eigenpairs(k = {k}, n = {n}, largest residual {self.residuals.max():.1e})"
+
+    def plot(
+        self, modes: int | Sequence[int] | None = None, *, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> Picture | Page:
+        """Paints eigenfunctions with the lines where they vanish, a panel each; options are those of :func:`beltrami.plot`.
+
+        Parameters
+        ----------
+        modes : int or sequence of int, optional
+            Which; the first six after the constant if left out.
+        path : path, optional
+            ``.png`` or ``.html``.
+
+        Raises
+        ------
+        InputError
+            There is no such mode, or the pairs belong to matrices and not to a shape.
+
+        Examples
+        --------
+        >>> import beltrami as bt
+        >>> bt.eigenpairs(bt.shapes.sphere(3), 4).plot([1, 2], size=(400, 200)).pixels.shape
+        (200, 400, 3)
+        """
+        if self.shape is None:
+            raise InputError("these pairs belong to matrices, not to a shape: bt.plot(shape, pairs.functions[:, k]) shows one")
+        count = len(self.values)
+        first = 1 if count > 1 else 0
+        chosen = range(first, min(count, first + 6)) if modes is None else np.atleast_1d(np.asarray(modes))
+        columns = [arrays.whole(mode, "modes", 0, count - 1) for mode in chosen]
+        shown = {f"mode {mode}, λ = {self.values[mode]:.4g}": self.functions[:, mode] for mode in columns}
+        if not shown:
+            raise InputError("modes is empty; name at least one")
+        options = {"contours": [0.0], "color_bar": False, **options}
+        return plot(self.shape, shown, path=path, **options)
 
 
 def eigenpairs(

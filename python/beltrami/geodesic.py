@@ -50,6 +50,9 @@ class HeatMethod:
             reporter(progress, "heat method"),
         )
 
+    def __repr__(self) -> str:
+        return f"HeatMethod({self.operators!r})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _remake, (self.operators, self.time_factor)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy.typing as npt
 from . import _core, arrays
 from .arrays import Floats, Ints
 from .errors import InputError
+from .progress import Progress, reporter
 from .shapes import PointCloud, TriangleMesh
 
 __all__ = [
@@ -23,28 +23,35 @@ __all__ = [
     "normals",
 ]
 
-Progress = Callable[[float], object] | None
+
+Places = npt.ArrayLike | PointCloud | TriangleMesh
 
 
-def _queries(value: npt.ArrayLike, name: str, dimension: int) -> Floats:
-    queries = arrays.points(value, name)
+def _points(value: Places, name: str) -> Floats:
+    if isinstance(value, PointCloud):
+        return value.points
+    return value.vertices if isinstance(value, TriangleMesh) else arrays.points(value, name)
+
+
+def _queries(value: Places, name: str, dimension: int) -> Floats:
+    queries = _points(value, name)
     return queries if len(queries) else np.zeros((0, dimension))
 
 
-def nearest_neighbors(points: npt.ArrayLike, queries: npt.ArrayLike, k: int, *, progress: Progress = None) -> tuple[Ints, Floats]:
+def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Progress = None) -> tuple[Ints, Floats]:
     """The k nearest points to each query, exactly, in any dimension.
 
     Parameters
     ----------
-    points : (n, D) array
+    points : (n, D) array, or a shape
         May repeat.
-    queries : (m, D) array
+    queries : (m, D) array, or a shape
         The points themselves, or others. A query that is one of the points finds itself first (of equal points, the one of least
         index).
     k : int
         From 1 to n.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -70,25 +77,25 @@ def nearest_neighbors(points: npt.ArrayLike, queries: npt.ArrayLike, k: int, *, 
     >>> indices.tolist(), distances.tolist()
     ([[0, 2]], [[0.0, 1.0]])
     """
-    points = arrays.points(points, "points")
-    queries = _queries(queries, "queries", points.shape[1])
-    return _core.nearest_neighbors(points, queries, arrays.whole(k, "k", 1, max(len(points), 1)), progress)
+    table = _points(points, "points")
+    wanted = _queries(queries, "queries", table.shape[1])
+    return _core.nearest_neighbors(table, wanted, arrays.whole(k, "k", 1, max(len(table), 1)), reporter(progress, "neighbours"))
 
 
 def neighbors_within(
-    points: npt.ArrayLike, queries: npt.ArrayLike, radius: float, *, progress: Progress = None
+    points: Places, queries: Places, radius: float, *, progress: Progress = None
 ) -> tuple[npt.NDArray[np.int64], Ints, Floats]:
     """All points within a radius of each query, exactly, in any dimension.
 
     Parameters
     ----------
-    points : (n, D) array
+    points : (n, D) array, or a shape
         May repeat.
-    queries : (m, D) array
+    queries : (m, D) array, or a shape
     radius : float
         At least 0; a point at exactly this distance counts.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -111,9 +118,9 @@ def neighbors_within(
     >>> starts.tolist(), indices.tolist()
     ([0, 2, 3], [0, 1, 2])
     """
-    points = arrays.points(points, "points")
-    queries = _queries(queries, "queries", points.shape[1])
-    return _core.neighbors_within(points, queries, arrays.number(radius, "radius", least=0.0), progress)
+    table = _points(points, "points")
+    wanted = _queries(queries, "queries", table.shape[1])
+    return _core.neighbors_within(table, wanted, arrays.number(radius, "radius", least=0.0), reporter(progress, "neighbours"))
 
 
 def _mesh(mesh: TriangleMesh) -> tuple[Floats, Ints]:
@@ -143,8 +150,12 @@ class ClosestPointsResult:
     faces: Ints
     barycentric: Floats
 
+    def __repr__(self) -> str:
+        far = f", the farthest {self.distances.max():.6g} away" if len(self.distances) else ""
+        return f"ClosestPointsResult({len(self.distances)} queries{far})"
 
-def closest_points(mesh: TriangleMesh, queries: npt.ArrayLike, *, progress: Progress = None) -> ClosestPointsResult:
+
+def closest_points(mesh: TriangleMesh, queries: Places, *, progress: Progress = None) -> ClosestPointsResult:
     """The point of a triangle mesh that is closest to each query, exactly, in R^D.
 
     Parameters
@@ -152,8 +163,8 @@ def closest_points(mesh: TriangleMesh, queries: npt.ArrayLike, *, progress: Prog
     mesh : TriangleMesh
         At least one face. Degenerate triangles count as the segments or points that they are.
     queries : (q, D) array
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -178,7 +189,8 @@ def closest_points(mesh: TriangleMesh, queries: npt.ArrayLike, *, progress: Prog
     ([3.0, 1.0], [[0.5, 0.5, 0.0], [0.0, 0.0, 0.0]])
     """
     arrays_of = _mesh(mesh)
-    return ClosestPointsResult(*_core.closest_points(arrays_of, _queries(queries, "queries", mesh.dimension), progress))
+    wanted = _queries(queries, "queries", mesh.dimension)
+    return ClosestPointsResult(*_core.closest_points(arrays_of, wanted, reporter(progress, "closest points")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +214,9 @@ class RayHitsResult:
     points: Floats
     barycentric: Floats
 
+    def __repr__(self) -> str:
+        return f"RayHitsResult({len(self.faces)} rays, {int((self.faces >= 0).sum())} hits)"
+
 
 def intersect_rays(
     mesh: TriangleMesh, origins: npt.ArrayLike, directions: npt.ArrayLike, *, progress: Progress = None
@@ -216,8 +231,8 @@ def intersect_rays(
         A ray that starts on the mesh hits it there, at distance 0.
     directions : (r, 3) array
         Of any length above 0.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -244,7 +259,7 @@ def intersect_rays(
     vertices, triangles = _mesh(mesh)
     starts = _queries(origins, "origins", 3)
     faces, distances, barycentric = _core.intersect_rays(
-        (vertices, triangles), starts, _queries(directions, "directions", 3), progress
+        (vertices, triangles), starts, _queries(directions, "directions", 3), reporter(progress, "rays")
     )
     points = starts.copy()
     hit = faces >= 0
@@ -261,8 +276,8 @@ def normals(points: npt.ArrayLike | PointCloud, *, neighbors: int = 16, progress
         n >= D >= 2.
     neighbors : int
         How many nearest points, itself included, a normal is estimated from; at least D. At most n are used.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -295,4 +310,4 @@ def normals(points: npt.ArrayLike | PointCloud, *, neighbors: int = 16, progress
     wanted = arrays.whole(neighbors, "neighbors", table.shape[1])
     if len(table) < table.shape[1]:
         raise InputError(f"{len(table)} points do not span a hyperplane of R^{table.shape[1]}; {table.shape[1]} or more are needed")
-    return _core.normals(table, min(wanted, len(table)), progress)
+    return _core.normals(table, min(wanted, len(table)), reporter(progress, "normals"))

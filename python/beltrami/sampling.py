@@ -91,5 +91,6 @@ def poisson_disc(points: Any, radius: float, *, rng: int | np.random.Generator |
     """
     table = _points(points)
     size = arrays.number(radius, "radius", above=0.0)
-    order = np.arange(len(table)) if rng is None else np.random.default_rng(rng).permutation(len(table))
+    generator = rng if rng is None or isinstance(rng, np.random.Generator) else np.random.default_rng(arrays.whole(rng, "rng", 0))
+    order = np.arange(len(table)) if generator is None else generator.permutation(len(table))
     return _core.poisson_disc(table, size, order.astype(np.int32), reporter(progress, "Poisson discs"))

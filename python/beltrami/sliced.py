@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from . import _core, arrays
 from .arrays import Floats
 from .errors import Cancelled, InputError
+from .progress import Progress, reporter
 
 __all__ = [
     "RotationInvariantSlicedWassersteinResult",
@@ -95,7 +95,7 @@ def sliced_wasserstein(
     target_weights: npt.ArrayLike | None = None,
     directions: int | npt.ArrayLike = 100,
     rng: int | np.random.Generator | None = None,
-    progress: Callable[[float], object] | None = None,
+    progress: Progress = None,
 ) -> float:
     """The sliced Wasserstein distance of order 2 between two weighted point sets.
 
@@ -114,8 +114,8 @@ def sliced_wasserstein(
     rng : int or numpy Generator, optional
         What directions are drawn with. None is seed 0: distances of different calls are then over the same directions, and so
         satisfy the triangle inequality.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -143,7 +143,8 @@ def sliced_wasserstein(
     True
     """
     x, y, a, b, scale = _measures(source, target, source_weights, target_weights)
-    return scale * _core.sliced_distance(x, y, a, b, _directions(directions, x.shape[1], _generator(rng)), progress)
+    theta = _directions(directions, x.shape[1], _generator(rng))
+    return scale * _core.sliced_distance(x, y, a, b, theta, reporter(progress, "sliced Wasserstein"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +285,7 @@ def rotation_invariant_sliced_wasserstein(
     starts: npt.ArrayLike | None = None,
     max_iterations: int = 300,
     tolerance: float = 1e-10,
-    progress: Callable[[float], object] | None = None,
+    progress: Progress = None,
 ) -> RotationInvariantSlicedWassersteinResult:
     """The least sliced Wasserstein distance over all rotations and reflections of one point set.
 
@@ -313,8 +314,8 @@ def rotation_invariant_sliced_wasserstein(
         Steps of the last run in each order.
     tolerance : float
         A run has converged when a step lessens the squared distance by less than this, relatively.
-    progress : callable, optional
-        Called with the share of work done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
 
     Returns
     -------
@@ -348,8 +349,10 @@ def rotation_invariant_sliced_wasserstein(
     theta = _directions(directions, dimension, generator)
     most, tolerance = arrays.whole(max_iterations, "max_iterations", 1), arrays.number(tolerance, "tolerance", least=0.0)
 
+    call = reporter(progress, "sliced Wasserstein")
+
     def report(share: float) -> None:
-        if progress is not None and progress(share) is False:
+        if call is not None and call(share) is False:
             raise Cancelled("stopped on request before the work was done")
 
     if starts is None:

@@ -203,6 +203,9 @@ class PoissonSolver:
         stiffness = csr_in(ops.stiffness, "the stiffness")
         self._core = _core.LaplacianSolver(stiffness, ops.mass, ops.coordinates, reporter(progress, "Poisson"))
 
+    def __repr__(self) -> str:
+        return f"PoissonSolver({self.operators!r})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         return PoissonSolver, (self.operators,)
 

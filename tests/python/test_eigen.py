@@ -176,3 +176,16 @@ def test_bad_input():
         bt.eigenpairs(sparse.eye_array(4), 2, mass=[1, 1, -1, 1])
     with pytest.raises(bt.Error):
         bt.eigenpairs(bt.shapes.sphere(4), 3, shift=5.0)
+
+
+def test_plot_shows_the_modes_asked_for(tmp_path):
+    modes = bt.eigenpairs(bt.shapes.sphere(2), 4)
+    picture = modes.plot([1, 3], path=tmp_path / "modes.png", size=(200, 100))
+    assert picture.pixels.shape == (100, 200, 3)
+    assert "mode 1" in picture.description
+    assert "mode 2" not in picture.description
+    assert (tmp_path / "modes.png").stat().st_size > 0
+    with pytest.raises(bt.InputError, match="modes is 4"):
+        modes.plot(4)
+    with pytest.raises(bt.InputError, match="matrices"):
+        bt.eigenpairs(sparse.diags_array([1.0, 2.0]), 1).plot()

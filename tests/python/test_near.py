@@ -333,3 +333,29 @@ def test_normals_of_a_plane_and_bad_clouds():
         bt.normals(flat, neighbors=2)
     with pytest.raises(bt.InputError, match="2 points"):
         bt.normals(flat[:2])
+
+
+def test_shapes_are_points_too():
+    mesh = bt.shapes.sphere(2)
+    cloud = bt.PointCloud(mesh.vertices[::3])
+    from_arrays = bt.nearest_neighbors(mesh.vertices, cloud.points, 3)
+    for ours, plain in zip(bt.nearest_neighbors(mesh, cloud, 3), from_arrays, strict=True):
+        assert np.array_equal(ours, plain)
+    assert np.array_equal(bt.neighbors_within(cloud, mesh, 0.4)[1], bt.neighbors_within(cloud.points, mesh.vertices, 0.4)[1])
+    assert bt.closest_points(mesh, cloud).distances.max() < 1e-15
+
+
+def test_a_bar_is_taken_and_other_progress_refused():
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    assert bt.nearest_neighbors(points, points, 2, progress=True)[0].shape == (50, 2)
+    assert bt.sliced_wasserstein(points, points, progress=True) == 0
+    with pytest.raises(bt.InputError, match="progress"):
+        bt.normals(points, progress="yes")
+
+
+@pytest.mark.parametrize("count", [0, -1, 4097, "2", 2.5, None])
+def test_thread_counts_are_refused(count):
+    before = bt.num_threads()
+    with pytest.raises(bt.InputError, match="count"):
+        bt.set_num_threads(count)
+    assert bt.num_threads() == before

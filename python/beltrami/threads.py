@@ -1,0 +1,50 @@
+"""How many threads the compiled core uses; the answers are the same bits with any number of them."""
+
+from __future__ import annotations
+
+from . import _core, arrays
+
+__all__ = ["num_threads", "set_num_threads"]
+
+
+def num_threads() -> int:
+    """How many threads are used: what :func:`set_num_threads` said last, else the environment variable ``BELTRAMI_NUM_THREADS``,
+    else one a processor.
+
+    Raises
+    ------
+    InputError
+        ``BELTRAMI_NUM_THREADS`` is no whole number from 1 to 4096.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> bt.num_threads() >= 1
+    True
+    """
+    return _core.num_threads()
+
+
+def set_num_threads(count: int) -> None:
+    """Sets how many threads are used from now on.
+
+    Parameters
+    ----------
+    count : int
+        From 1 to 4096.
+
+    Raises
+    ------
+    InputError
+        The count is out of range or not whole.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> before = bt.num_threads()
+    >>> bt.set_num_threads(1)
+    >>> bt.num_threads()
+    1
+    >>> bt.set_num_threads(before)
+    """
+    _core.set_num_threads(arrays.whole(count, "count", 1, 4096))
