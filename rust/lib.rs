@@ -10,6 +10,7 @@
 //! | [`operators`] | stiffness, mass, gradient, divergence |
 //! | [`solvers`] | sparse Cholesky and eigenpairs; they know matrices, never meshes |
 //! | [`geodesic`] | distance by the heat method |
+//! | [`sphere`] | inner loops of conformal maps to the sphere |
 //! | [`view`] | pictures without a display |
 //!
 //! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].

@@ -955,6 +955,8 @@ def _scaled(vertices: Floats) -> tuple[Floats, float]:
     size = float(np.abs(moved).max())
     if not size > 0 or not np.isfinite(size):
         raise InputError(f"the vertices span {size:g}; a surface is needed")
+    if not 1e-150 < size < 1e150:
+        raise InputError(f"the vertices span {size:g}, so that areas leave the range of double precision; use other units")
     return moved / size, size
 
 
@@ -1125,7 +1127,8 @@ def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult
         s = _centred(_repair(surface, s, 8, lambda share: task.report(0.9 + 0.1 * share)), surface.mass)
         excess, after = energy - area, float(np.subtract(*surface.energy_and_area(s)))
         heavy = ", at the price of larger changes of angle there" if after > 1.2 * excess + 1e-3 else ""
-        notes.append(f"{before} flipped triangles were repaired: E - A {excess:.4g} before, {after:.4g} after{heavy}")
+        gone = before - int(surface.flipped(s).sum())
+        notes.append(f"{gone} of {before} flipped triangles were repaired: E - A {excess:.4g} before, {after:.4g} after{heavy}")
     if whole is not source:
         own = surface.faces[: len(mesh.faces)]
         surface = _Surface(vertices[: len(mesh.vertices)], own)
@@ -1171,7 +1174,7 @@ def _map_cloud(cloud: PointCloud, given: Operators | None, task: _Task) -> Spher
         )
     wrong = _folded(ops, faces, turned)
     task.report(1.0)
-    return _certified(cloud, surface, s, size, trace, (f"{facts}",) if euler != 2 else (), wrong)
+    return _certified(cloud, surface, s, size, trace, (), wrong)
 
 
 def _euler(faces: Faces) -> int:

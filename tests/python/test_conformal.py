@@ -217,6 +217,8 @@ def test_what_is_no_sphere_is_refused_with_its_characteristic() -> None:
         bt.spherical_map(bt.PointCloud(bt.shapes.torus(rows=60, columns=30).vertices))
     with pytest.raises(bt.TopologyError, match="boundary"):
         bt.spherical_map(bt.PointCloud(bt.shapes.disc().vertices))
+    with pytest.raises(bt.InputError, match="other units"):
+        bt.spherical_map(bt.TriangleMesh(sphere.vertices * 1e-152, sphere.faces))
     for wrong in ({"method": "magic"}, {"tolerance": 0}, {"max_iterations": 0}):
         with pytest.raises(bt.InputError):
             bt.spherical_map(sphere, **wrong)
@@ -247,6 +249,20 @@ def test_degenerate_triangles_are_survived() -> None:
     assert np.isfinite(r.positions).all()
     assert np.isfinite(r.energy)
     assert any("Delaunay" in note for note in r.notes)
+
+
+def test_small_scaled_and_intrinsic_meshes() -> None:
+    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    tetrahedron = bt.spherical_map(bt.TriangleMesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
+    assert abs(tetrahedron.excess) < 1e-12  # regular, and so is its image
+    sphere = bt.shapes.sphere(2)
+    for factor in (1e-100, 1e100):
+        r = bt.spherical_map(bt.TriangleMesh(sphere.vertices * factor, sphere.faces))
+        assert r.excess < 1e-8
+        assert np.allclose(r.conformal_factor * factor**2, 1, rtol=1e-3)
+    ripples = 0.1 * np.sin(3 * sphere.vertices[:, :2])
+    r = bt.spherical_map(bt.TriangleMesh(np.c_[sphere.vertices, ripples], sphere.faces))  # a surface in R^5
+    assert r.flipped == 0
 
 
 def test_moebius_group() -> None:
