@@ -11,6 +11,7 @@
 //! | [`solvers`] | sparse Cholesky and eigenpairs; they know matrices, never meshes |
 //! | [`geodesic`] | distance by the heat method |
 //! | [`sphere`] | inner loops of conformal maps to the sphere |
+//! | [`shrink`], [`levelset`] | total variation on simplices; contours of functions on meshes |
 //! | [`view`] | pictures without a display |
 //!
 //! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].

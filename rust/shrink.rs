@@ -298,11 +298,11 @@ impl Elements {
                     let mut all = 0.0;
                     for (channel, g) in slopes.iter_mut().enumerate() {
                         *g = self.slope::<S>(f, channels, element, channel);
-                        for k in 0..side {
-                            let at = channel * side + k;
-                            // dual holds v until it is shrunk
-                            dual[at] = relaxation * g[k] + (1.0 - relaxation) * split[at] + dual[at] * inverse;
-                            all += dual[at] * dual[at];
+                        let (split, dual) = (&split[channel * side..][..side], &mut dual[channel * side..][..side]);
+                        for ((v, &before), &slope) in dual.iter_mut().zip(split).zip(g.iter()) {
+                            // the dual holds v until it is shrunk
+                            *v = relaxation * slope + (1.0 - relaxation) * before + *v * inverse;
+                            all += *v * *v;
                         }
                     }
                     let (mut missed, mut moved) = (0.0, 0.0);
