@@ -152,6 +152,10 @@ def _image(image: Any, count: int, known: npt.NDArray[np.bool_] | None) -> Float
     table = arrays.floats(array, "image", (count,) if array.ndim == 1 else (count, None), finite=known is None).reshape(count, -1)
     if table.shape[1] == 0:
         raise InputError("image has no channels")
+    if known is None or known.any():
+        most = float(np.abs(table if known is None else np.nan_to_num(table[known], posinf=0.0, neginf=0.0)).max())
+        if most > 1e100:
+            raise InputError(f"image has values up to {most:.3g}; divide it by some unit so that they stay below 1e100")
     if known is not None:
         table = table.copy()
         table[~known] = 0.0
@@ -159,6 +163,12 @@ def _image(image: Any, count: int, known: npt.NDArray[np.bool_] | None) -> Float
             where = int(np.argwhere(~np.isfinite(table))[0, 0])
             raise InputError(f"image[{where}] is not finite although the mask says that it is known; set mask[{where}] to False")
     return table
+
+
+def _in_range(weight: float, what: str) -> None:
+    """Refuses a problem whose two terms are too far apart for double precision."""
+    if not 1e-9 <= weight <= 1e9:
+        raise InputError(f"{what} is {weight:.3g}; from 1e-9 to 1e9 can be solved, so choose another fidelity or rescale the image")
 
 
 def _mask(mask: Any, count: int) -> npt.NDArray[np.bool_] | None:
@@ -438,7 +448,10 @@ class _Segmenter:
         channels, radius = (1, 1.0) if self.regions == 2 else (self.regions, 0.5)
         shape = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if surface.tv == "isotropic" else 1))
         means, ratio, weights = self.means, self.ratio, surface.weights
-        cost = self._cost(means, fidelity)
+        with np.errstate(over="ignore"):
+            cost = self._cost(means, fidelity)
+        top = float(np.abs(cost).max())
+        _in_range(top, "fidelity times the squared contrast")
         scale = float((mass * np.abs(cost)).sum())
         if self.split is None:
             z = (cost < 0).astype(float) if channels == 1 else (cost == cost.min(1, keepdims=True)).astype(float)
@@ -447,7 +460,7 @@ class _Segmenter:
         w, p, z, y = self.split  # splits of the gradient and of phi, each with its multiplier
         phi, right, flux = z.copy(), np.zeros_like(z), np.zeros_like(z)
         # A weak image moves phi slowly against a strong penalty.
-        strength = float(np.sqrt((mass * np.square(cost)).sum() / channels))
+        strength = top * float(np.sqrt((mass * np.square(cost / top)).sum() / channels))
         penalty = self.penalty * min(1.0, STRENGTH * strength / (self.penalty * ratio))
 
         def tv(values: Floats) -> float:
@@ -917,6 +930,7 @@ def denoise(
     target = (data - centre) / unit * known[:, None]
     least, greatest = (low - centre) / unit, (high - centre) / unit
     weight = fidelity * unit
+    _in_range(weight, "fidelity times the image's deviation")
     mass = surface.mass[:, None]
     loose = surface.mass == 0  # they keep their values
     pull = weight * surface.mass * known + loose * (weight / surface.count)

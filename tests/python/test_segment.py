@@ -407,3 +407,18 @@ def test_command_line(tmp_path, capsys):
         assert kept["label"].shape == (len(mesh.vertices),)
     assert main(["denoise", *arguments, "--max-iterations", "1", "--tolerance", "1e-15"]) == 1
     assert main(["segment", str(tmp_path / "sphere.ply")]) == 2  # no colours, no --values
+
+
+@pytest.mark.parametrize("verb", [bt.segment, bt.denoise])
+@pytest.mark.parametrize("tv", ["isotropic", "edge"])
+def test_numbers_out_of_range_are_refused_and_the_rest_is_solved(verb, tv):
+    mesh = bt.shapes.sphere(2)
+    image = cap(mesh, 1.0, 0.2)
+    for factor, fidelity in ((1e200, 30.0), (1e-200, 30.0), (1.0, 1e300), (1.0, 1e-300), (1e308, 1.0)):
+        with pytest.raises(bt.InputError, match=r"rescale|unit"):
+            verb(mesh, factor * image, fidelity=fidelity, tv=tv)
+    for factor, fidelity in ((1.0, 1e-6), (1.0, 1e6), (1e40, 1e-39), (1e-40, 1e41)):
+        power = 2 if verb is bt.segment else 1
+        r = verb(mesh, factor * image, fidelity=fidelity if factor == 1 else 30 / factor**power, tv=tv)
+        assert np.isfinite([r.primal, r.dual, r.gap]).all()
+        assert r.dual <= r.primal * (1 + np.sign(r.primal) * 1e-9) + 1e-12
