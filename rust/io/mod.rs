@@ -152,7 +152,7 @@ pub struct Reading {
     pub weld: Option<bool>,
 }
 
-/// How [`write`] writes.
+/// How [`write()`] writes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Writing {
     /// The format; by default as the file's name tells.
@@ -187,7 +187,7 @@ pub fn load(path: impl AsRef<Path>) -> Result<Geometry<'static>> {
 /// Saves a shape with the defaults of [`Writing`]; see [`load`] for an example.
 ///
 /// # Errors
-/// Those of [`write`].
+/// Those of [`write()`].
 pub fn save(path: impl AsRef<Path>, shape: &Geometry<'_>) -> Result<()> {
     write(path.as_ref(), shape, Writing::default(), &Control::default()).map(|_| ())
 }

@@ -1,6 +1,6 @@
 //! Exact nearest neighbours and radius search in R^D, any D, by a kd-tree.
 //!
-//! The tree is balanced and has no pointers: points are cut at the median of the longest side of their box until [`LANES`]
+//! The tree is balanced and has no pointers: points are cut at the median of the longest side of their box until `LANES`
 //! of them are left, which are kept side by side, coordinate after coordinate, so that a leaf is compared in a few vector
 //! instructions. Every node has the tight box of its points; in floating point too, no point of a box is nearer than the box
 //! is computed to be, since rounding is monotone and both sums run over the coordinates in the same order. So answers are
