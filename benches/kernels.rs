@@ -29,7 +29,7 @@ fn kernels(c: &mut Criterion) {
         group.bench_function("32 right-hand sides", |b| b.iter(|| factor.solve_block(black_box(&block), 32)));
         group.bench_function("distance, factors kept", |b| b.iter(|| heat.distance(black_box(&[0]), &control)));
         group.bench_function("16 neighbours of every vertex", |b| {
-            b.iter(|| KdTree::new(black_box(mesh.vertices()), 3).and_then(|tree| tree.nearest(mesh.vertices(), 16, &control)))
+            b.iter(|| KdTree::new(black_box(mesh.vertices()), 3, &control).and_then(|tree| tree.nearest(mesh.vertices(), 16, &control)))
         });
         if frequency == 32 {
             let options = EigenOptions { coordinates: places, ..Default::default() };
