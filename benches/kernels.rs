@@ -1,5 +1,7 @@
 //! Times of the kernels on spheres of 10k and 100k vertices: `cargo bench`.
 
+#![allow(missing_docs)] // criterion's macro makes a public function
+
 use beltrami::geodesic::HeatMethod;
 use beltrami::near::KdTree;
 use beltrami::operators::{cotangent_operators, gradient};

@@ -18,6 +18,8 @@ const FADED: f64 = 1e-250;
 /// Between one time and the next longer one.
 const LONGER: f64 = 64.0;
 const TIMES: usize = 12;
+/// Beyond this factor the mass vanishes beside the stiffness and rounding decides the answer.
+const MOST_TIME: f64 = 1e8;
 
 /// What the heat method needs of a shape.
 #[derive(Debug, Clone)]
@@ -87,9 +89,9 @@ impl HeatMethod {
             )));
         }
         let time = time_factor * shape.spacing * shape.spacing;
-        if !(time > 0.0 && time.is_finite()) {
+        if !(time > 0.0 && time.is_finite() && time_factor <= MOST_TIME) {
             return Err(Error::input(format!(
-                "the time of the heat flow is {time:e} (factor {time_factor:e}, spacing {:e}); it must be positive and finite",
+                "the time of the heat flow is {time:e} (factor {time_factor:e}, spacing {:e}); the factor must be positive and at most {MOST_TIME:e}",
                 shape.spacing
             )));
         }
@@ -129,9 +131,16 @@ impl HeatMethod {
     }
 
     fn heat(&self, step: usize, control: &Control) -> Result<Arc<Heat>> {
-        let mut heats = self.heats.lock().unwrap_or_else(PoisonError::into_inner);
-        while heats.len() <= step {
-            let time = self.time * LONGER.powi(heats.len() as i32);
+        // No lock is held while factors are made: a worker that waits may pick up another caller's job.
+        loop {
+            let made = {
+                let heats = self.heats.lock().unwrap_or_else(PoisonError::into_inner);
+                if let Some(heat) = heats.get(step) {
+                    return Ok(heat.clone());
+                }
+                heats.len()
+            };
+            let time = self.time * LONGER.powi(made as i32);
             // Vertices of no triangle have no mass: a 1 keeps them apart and the matrix definite.
             let diagonal: Vec<f64> = self.shape.mass.iter().map(|&mass| if mass > 0.0 { mass } else { 1.0 }).collect();
             let matrix = self.shape.stiffness.combine(time, &Csr::from_diagonal(&diagonal), 1.0)?;
@@ -153,9 +162,11 @@ impl HeatMethod {
             } else {
                 None
             };
-            heats.push(Arc::new(Heat { natural, zero }));
+            let mut heats = self.heats.lock().unwrap_or_else(PoisonError::into_inner);
+            if heats.len() == made {
+                heats.push(Arc::new(Heat { natural, zero }));
+            }
         }
-        Ok(heats[step].clone())
     }
 
     /// Distance to the nearest source; 0 at the sources, infinite on components without one.
@@ -177,15 +188,15 @@ impl HeatMethod {
         let reached: Vec<bool> = labels.iter().map(|&label| sums[label as usize].1 > 0).collect();
         let flux = self.flux(sources, &reached, control)?;
         let mut distance = self.poisson.solve(&flux, 1)?;
+        if distance.iter().any(|number| !number.is_finite()) {
+            return Err(Error::numerical("the distances overflow; rescale the shape"));
+        }
         sources.iter().for_each(|&source| sums[labels[source] as usize].0 += distance[source]);
         for ((distance, &label), &reached) in distance.iter_mut().zip(labels).zip(&reached) {
             let (sum, count) = sums[label as usize];
             *distance = if reached { (*distance - sum / count as f64).max(0.0) } else { f64::INFINITY };
         }
         sources.iter().for_each(|&source| distance[source] = 0.0);
-        if distance.iter().any(|number| number.is_nan()) {
-            return Err(Error::numerical("the distances overflow; rescale the shape"));
-        }
         Ok(distance)
     }
 
@@ -228,9 +239,13 @@ impl HeatMethod {
             let faded =
                 (0..n).into_par_iter().with_min_len(CHUNK).any(|i| reached[i] && self.shape.mass[i] > 0.0 && heat[i].abs() <= FADED);
             if !faded {
-                break;
+                return self.transposed.multiply(&field);
             }
         }
-        self.transposed.multiply(&field)
+        Err(Error::numerical(format!(
+            "heat does not reach all of the shape even after {:e} times the time {:e}; take a larger time_factor",
+            LONGER.powi(TIMES as i32 - 1),
+            self.time
+        )))
     }
 }

@@ -118,7 +118,7 @@ class Cholesky:
         InputError
             If the pattern differs; the factor is then as it was.
         NumericalError
-            If it is not positive definite; the factor then refuses to solve until another refactorization.
+            If it is not positive definite; the factor is then as it was.
         """
         self._core.refactor(csr_in(matrix, "the matrix"), reporter(progress, "Cholesky"))
         return self

@@ -268,8 +268,12 @@ fn dense_eigen(matrix: MatRef<f64>) -> Result<(Vec<f64>, Mat<f64>)> {
     if (0..n).any(|j| (0..n).any(|i| !matrix[(i, j)].is_finite())) {
         return Err(broken());
     }
-    let found = matrix.self_adjoint_eigen(Side::Lower).map_err(|_| broken())?;
-    let values: Vec<f64> = (0..n).map(|i| found.S()[i]).collect();
+    // faer's divide and conquer has absolute thresholds: bring the entries near 1, by a power of two, so exactly.
+    let largest = (0..n).flat_map(|j| (0..n).map(move |i| matrix[(i, j)].abs())).fold(0.0, f64::max);
+    let scale = if largest > 0.0 { largest.log2().floor().clamp(-1000.0, 1000.0).exp2() } else { 1.0 };
+    let near_one = Mat::from_fn(n, n, |i, j| matrix[(i, j)] / scale);
+    let found = near_one.self_adjoint_eigen(Side::Lower).map_err(|_| broken())?;
+    let values: Vec<f64> = (0..n).map(|i| scale * found.S()[i]).collect();
     if values.iter().any(|value| !value.is_finite()) {
         return Err(broken());
     }

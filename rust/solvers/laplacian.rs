@@ -87,6 +87,12 @@ impl LaplacianSolver {
             let means = self.sums(&out, width, |mass| mass);
             self.take(&mut out, width, &means, |_| 1.0);
         }
+        if let Some(at) = out.iter().position(|number| !number.is_finite()) {
+            return Err(Error::numerical(format!(
+                "the solution overflows in row {}; scale the right-hand side or the shape down",
+                at / width.max(1)
+            )));
+        }
         Ok(out)
     }
 

@@ -105,8 +105,7 @@ def test_refactor():
     np.testing.assert_array_equal(factor.solve(b), x / 4)
     with pytest.raises(bt.NumericalError, match="positive definite"):
         factor.refactor(-a)
-    with pytest.raises(bt.NumericalError, match="refactor"):
-        factor.solve(b)
+    np.testing.assert_array_equal(factor.solve(b), x / 4)
     np.testing.assert_array_equal(factor.refactor(a).solve(b), x)
 
 
@@ -188,6 +187,7 @@ import sys, numpy as np, scipy.sparse as sparse, beltrami as bt
 side = int(sys.argv[1])
 line = sparse.diags_array([-np.ones(side - 1), 2 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1])
 a = sparse.csr_array(sparse.kron(line, sparse.eye_array(side)) + sparse.kron(sparse.eye_array(side), line))
+import signal; signal.signal(signal.SIGINT, signal.default_int_handler)
 print("go", flush=True)
 while True: bt.Cholesky(a)
 """

@@ -6,18 +6,18 @@ use crate::run;
 use beltrami::solvers;
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use std::sync::{Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// A factor. Solves run side by side; a refactorization waits for them.
+/// A factor. No lock is held while the pool works: a worker that waits may pick up another caller's job.
 #[pyclass(frozen, module = "beltrami._core")]
 pub struct Cholesky {
-    factor: RwLock<solvers::Cholesky>,
+    factor: Mutex<Arc<solvers::Cholesky>>,
     scratch: Mutex<Option<solvers::Scratch>>,
 }
 
 impl Cholesky {
-    fn read(&self) -> std::sync::RwLockReadGuard<'_, solvers::Cholesky> {
-        self.factor.read().unwrap_or_else(PoisonError::into_inner)
+    fn read(&self) -> Arc<solvers::Cholesky> {
+        self.factor.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     fn solved(&self, b: &[f64], width: usize, out: &mut [f64]) -> beltrami::Result<()> {
@@ -51,13 +51,16 @@ impl Cholesky {
                 solvers::Cholesky::with_symbolic(&symbolic, &matrix, control)
             }
         })?;
-        Ok(Cholesky { factor: RwLock::new(factor), scratch: Mutex::new(None) })
+        Ok(Cholesky { factor: Mutex::new(Arc::new(factor)), scratch: Mutex::new(None) })
     }
 
     /// Factors another matrix of the same pattern.
     fn refactor(&self, py: Python<'_>, matrix: CsrArrays<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let matrix = matrix.matrix()?;
-        run::watched(py, progress, |control| self.factor.write().unwrap_or_else(PoisonError::into_inner).refactor(&matrix, control))
+        let symbolic = self.read().symbolic();
+        let factor = run::watched(py, progress, |control| solvers::Cholesky::with_symbolic(&symbolic, &matrix, control))?;
+        *self.factor.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(factor);
+        Ok(())
     }
 
     /// Solves for a table of right-hand sides.

@@ -52,7 +52,7 @@ pub fn watched<T: Send>(
             Ok(answer)
         }
         Some(Ok(Err(error))) => Err(error::convert(py, error)),
-        Some(Err(panic)) => Err(bug(py, &panic)),
+        Some(Err(panic)) => Err(bug(py, &*panic)),
         None => Err(error::raise(py, "InternalError", "the work ended without an answer".into())),
     }
 }
@@ -61,7 +61,7 @@ pub fn watched<T: Send>(
 pub fn brief<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
     match py.detach(|| catch_unwind(AssertUnwindSafe(|| threads::run(work)))) {
         Ok(outcome) => outcome.map_err(|error| error::convert(py, error)),
-        Err(panic) => Err(bug(py, &panic)),
+        Err(panic) => Err(bug(py, &*panic)),
     }
 }
 
