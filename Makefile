@@ -1,6 +1,8 @@
 .DEFAULT_GOAL := help
 PYTHON ?= python3
 BIN := .venv/bin
+# property tests draw the same examples in every run: a red run can be repeated (see tests/python/conftest.py for Python's)
+export PROPTEST_RNG_SEED ?= 20
 SOURCES := $(shell find rust python/binding -name '*.rs') Cargo.toml Cargo.lock python/binding/Cargo.toml pyproject.toml
 
 .PHONY: help build demo test check bars bench docs slow clean
@@ -48,7 +50,7 @@ bench: build ## times of the kernels, and side by side with other libraries wher
 	@for script in benches/peers/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
 slow: build ## the sweeps that take minutes
-	$(BIN)/python -m pytest -q -m slow
+	HYPOTHESIS_PROFILE=random $(BIN)/python -m pytest -q -m slow
 
 clean: ## remove what was built
 	rm -rf target .venv gallery site

@@ -18,7 +18,7 @@ proptest! {
     #[test]
     fn neighbors_are_those_of_brute_force(
         dimension in 1usize..13,
-        numbers in prop::collection::vec(prop_oneof![(-3i32..4).prop_map(f64::from), -3.0..3.0f64], 6..600),
+        numbers in prop::collection::vec(prop_oneof![(-3i32..4).prop_map(f64::from), -3.0..3.0f64], 12..600),
         share in 0.0..1.0f64,
         radius in 0.0..4.0f64,
     ) {
