@@ -2,6 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 # property tests draw the same examples in every run: a red run can be repeated (see tests/python/conftest.py for Python's)
+# small dense matrices of the tests only suffer from threads of their own
+export OPENBLAS_NUM_THREADS ?= 1
 export PROPTEST_RNG_SEED ?= 20
 SOURCES := $(shell find rust python/binding -name '*.rs') Cargo.toml Cargo.lock python/binding/Cargo.toml pyproject.toml
 

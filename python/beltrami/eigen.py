@@ -23,7 +23,7 @@ __all__ = ["Eigenpairs", "eigenpairs"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Eigenpairs:
-    """The k smallest eigenpairs ``L φ = λ diag(m) φ``.
+    """k eigenpairs ``L φ = λ diag(m) φ``.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def eigenpairs(
     start: Any = None,
     progress: Progress = None,
 ) -> Eigenpairs:
-    """The k smallest eigenpairs of the Laplacian of a shape, or of a pencil of matrices.
+    """The k smallest eigenpairs of the Laplacian of a shape, or of a pencil of matrices; or those nearest to a number.
 
     Block shift-invert Lanczos on one Cholesky factor; small problems are solved densely. A pair that has not converged is never
     handed out. The same input gives the same bits.
@@ -102,13 +102,14 @@ def eigenpairs(
     Parameters
     ----------
     shape : TriangleMesh, PointCloud, Operators, or a sparse symmetric matrix (n, n)
-        A matrix must be positive semidefinite, or ``shift`` lie below its spectrum.
+        A matrix with negative eigenvalues needs a ``shift``.
     k : int
         How many, at most the number of vertices that have mass.
     mass : array_like (n,) or sparse matrix (n, n), optional
         With a matrix: the diagonal mass, or a positive definite one; ones if left out. Not allowed with a shape.
     shift : float, optional
-        A number below the smallest eigenvalue; the default is a small negative one.
+        The k eigenvalues nearest to this number are found, wherever it lies; without it the smallest ones. Inside the spectrum the
+        factorization takes pivots and is some times slower; on an eigenvalue there is none.
     start : array_like (n, w), optional
         Vectors near the wanted ones, e.g. those of a similar shape with the same vertices: fewer solves are needed.
     progress : callable or True, optional
@@ -123,7 +124,7 @@ def eigenpairs(
     InputError
         k is out of range, or arrays do not fit.
     NumericalError
-        The shifted matrix is not positive definite, or numbers overflow.
+        The matrix has negative eigenvalues and no ``shift``, the mass is not positive definite, or numbers overflow.
     ConvergenceError
         A pair did not converge.
 
@@ -153,6 +154,8 @@ def eigenpairs(
         matrix = arrays.csr_in(ops.stiffness, "the stiffness")
         mass = ops.mass
     first = None if start is None else arrays.floats(start, "start", (n, None))
+    if k > n:
+        raise InputError(f"k is {k}, the shape has {n} vertices; ask for at most {n} eigenpairs")
     report = reporter(progress, "eigenpairs")
     if sparse.issparse(mass):
         found = _core.eigenpairs(matrix, None, arrays.csr_in(mass, "the mass matrix"), k, shift, coordinates, first, report)

@@ -1,10 +1,11 @@
-//! The smallest eigenpairs of `A x = λ M x`: block shift-invert Lanczos with thick restart, dense for small matrices.
+//! The eigenpairs of `A x = λ M x` nearest to a shift: block shift-invert Lanczos with thick restart, dense for small matrices.
 //!
-//! The operator `(A - σ M)^-1 M` with σ < 0 is self-adjoint in the inner product of M; its largest eigenvalues
-//! θ = 1 / (λ - σ) belong to the smallest λ. A block of random vectors finds as many copies of a multiple eigenvalue as it is
+//! The operator `(A - σ M)^-1 M` is self-adjoint in the inner product of M; its eigenvalues θ = 1 / (λ - σ) of largest size
+//! belong to the λ nearest to σ. A block of random vectors finds as many copies of a multiple eigenvalue as it is
 //! wide; where a cluster is at least that large, the search goes on from a fresh random block until nothing new appears.
 //! The basis is kept orthonormal by two passes of Gram-Schmidt (Grimes, Lewis, Simon 1994; Wu, Simon 2000).
 
+use super::indefinite::Indefinite;
 use super::{Cholesky, Scratch};
 use crate::control::Control;
 use crate::error::{Error, Result};
@@ -25,11 +26,11 @@ pub enum Mass<'a> {
 /// Settings of [`eigenpairs`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct EigenOptions<'a> {
-    /// σ, below the smallest eigenvalue; by default a small share of what λ_k will be.
+    /// σ: the eigenvalues nearest to it are wanted. By default a negative number of the size of the smallest ones.
     pub shift: Option<f64>,
     /// Coordinates of the unknowns and their number an unknown: a better order for the factorization.
     pub coordinates: Option<(&'a [f64], usize)>,
-    /// Vectors to start from, (n, width) row after row.
+    /// Vectors to start from, (n, width) row after row; random ones join them, so that no copy is missed.
     pub start: Option<(&'a [f64], usize)>,
 }
 
@@ -52,8 +53,13 @@ const ROWS: usize = 1024; // rows of one parallel task in the dense products; fi
 const DENSE: usize = 256; // matrices up to this size are solved densely
 const TOLERANCE: f64 = 1e-11; // of a Ritz pair, relative to its θ
 const MAX_BLOCKS: usize = 1000;
+const FAR: f64 = 100.0; // a default shift this many times the largest value wanted is chosen again
+const ROUNDING: f64 = 1e-12; // values below this share of the matrix's scale are zeros
+const ACCEPTED: f64 = 1e-5; // residual that is handed out, relative to the largest of the values and the shift
+const ASYMMETRY: f64 = 1e-10;
 
-/// The k smallest eigenvalues of `A x = λ M x` with all copies of multiple ones, and their vectors.
+/// The k eigenvalues of `A x = λ M x` nearest to the shift (the smallest, by default) with all copies of multiple ones, and their
+/// vectors.
 ///
 /// ```
 /// use beltrami::{Control, Csr, solvers::{EigenOptions, Mass, eigenpairs}};
@@ -66,19 +72,30 @@ const MAX_BLOCKS: usize = 1000;
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] if sizes do not fit, a mass is negative, or k is more than the unknowns that have mass;
-/// [`Error::Numerical`] if A - σ M or M is not positive definite; [`Error::NotConverged`]; [`Error::Cancelled`].
+/// [`Error::Input`] if sizes do not fit, a matrix is not symmetric, a mass is negative, or k is more than the unknowns that have
+/// mass; [`Error::Numerical`] if M is not positive definite, or A has eigenvalues below the default shift;
+/// [`Error::NotConverged`]; [`Error::Cancelled`].
 pub fn eigenpairs(matrix: &Csr, mass: Mass, k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
     let n = matrix.rows();
-    let mass_size = match mass {
-        Mass::Diagonal(diagonal) => diagonal.len(),
-        Mass::Matrix(m) => m.rows(),
+    let (mass_rows, mass_columns) = match mass {
+        Mass::Diagonal(diagonal) => (diagonal.len(), diagonal.len()),
+        Mass::Matrix(m) => (m.rows(), m.columns()),
     };
-    if matrix.columns() != n || mass_size != n {
+    if matrix.columns() != n || (mass_rows, mass_columns) != (n, n) {
         return Err(Error::input(format!(
-            "the pencil has matrices of {n} x {} and {mass_size} rows; they must be square and alike",
+            "the pencil has matrices of {n} x {} and {mass_rows} x {mass_columns}; they must be square and alike",
             matrix.columns()
         )));
+    }
+    symmetric(matrix, "the matrix")?;
+    if let Mass::Matrix(m) = mass {
+        symmetric(m, "the mass matrix")?;
+    }
+    if let Some(shift) = options.shift.filter(|shift| !shift.is_finite()) {
+        return Err(Error::input(format!("shift is {shift}; it must be finite")));
+    }
+    if let Some((numbers, dimension)) = options.coordinates.filter(|(numbers, dimension)| numbers.len() != n * dimension) {
+        return Err(Error::input(format!("coordinates has {} numbers, not {n} rows of {dimension}", numbers.len())));
     }
     if k == 0 {
         return Err(Error::input("0 eigenpairs were asked for; ask for at least 1"));
@@ -101,8 +118,23 @@ pub fn eigenpairs(matrix: &Csr, mass: Mass, k: usize, options: &EigenOptions, co
     if k > n {
         return Err(Error::input(format!("{k} eigenpairs were asked for, the shape has {n} vertices with mass; ask for at most {n}")));
     }
-    let found = Pencil::new(matrix, mass)?.smallest(k, options, control)?;
-    found.checked(matrix, mass)
+    Pencil { matrix, mass, n }.nearest(k, options, control)
+}
+
+fn symmetric(matrix: &Csr, name: &str) -> Result<()> {
+    let difference = matrix.combine(1.0, &matrix.transpose(), -1.0)?;
+    let largest = matrix.values().iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+    for row in 0..matrix.rows() {
+        let (columns, values) = difference.row(row);
+        if let Some(at) = values.iter().position(|value| value.abs() > ASYMMETRY * largest) {
+            return Err(Error::input(format!(
+                "{name} is not symmetric: entries ({row}, {column}) and ({column}, {row}) differ by {difference:e}; pass (A + A.T) / 2",
+                column = columns[at],
+                difference = values[at]
+            )));
+        }
+    }
+    Ok(())
 }
 
 fn without_massless(matrix: &Csr, mass: &[f64], kept: &[usize], k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
@@ -174,8 +206,14 @@ struct Basis {
 }
 
 impl Basis {
-    fn new(n: usize, room: usize) -> Self {
-        Basis { numbers: vec![0.0; n * room], room, width: 0 }
+    fn new(n: usize, room: usize) -> Result<Self> {
+        let mut numbers: Vec<f64> = Vec::new();
+        let size = n.saturating_mul(room);
+        numbers
+            .try_reserve_exact(size)
+            .map_err(|_| Error::numerical(format!("a basis of {size} numbers does not fit into memory; ask for fewer eigenpairs")))?;
+        numbers.resize(size, 0.0);
+        Ok(Basis { numbers, room, width: 0 })
     }
 
     fn push(&mut self, block: &[f64], width: usize) {
@@ -280,11 +318,7 @@ fn dense_eigen(matrix: MatRef<f64>) -> Result<(Vec<f64>, Mat<f64>)> {
     Ok((values, found.U().to_owned()))
 }
 
-impl<'a> Pencil<'a> {
-    fn new(matrix: &'a Csr, mass: Mass<'a>) -> Result<Self> {
-        Ok(Pencil { matrix, mass, n: matrix.rows() })
-    }
-
+impl Pencil<'_> {
     fn mass_times(&self, block: &[f64], width: usize) -> Result<Vec<f64>> {
         match self.mass {
             Mass::Matrix(matrix) => matrix.multiply_block(block, width),
@@ -298,6 +332,26 @@ impl<'a> Pencil<'a> {
                 Ok(out)
             }
         }
+    }
+
+    /// A X by differences along the edges: in a Laplacian the large entries of small triangles would drown those of smooth
+    /// functions. A row sum within its rounding of 0 is taken as 0.
+    fn images(&self, block: &[f64], width: usize) -> Vec<f64> {
+        let mut out = vec![0.0; block.len()];
+        out.par_chunks_mut(ROWS * width).enumerate().for_each(|(chunk, out)| {
+            for (row, out) in (chunk * ROWS..).zip(out.chunks_exact_mut(width)) {
+                let (columns, values) = self.matrix.row(row);
+                let (sum, size) = values.iter().fold((0.0, 0.0), |(sum, size): (f64, f64), value| (sum + value, size + value.abs()));
+                let sum = if sum.abs() > f64::EPSILON * values.len() as f64 * size { sum } else { 0.0 };
+                let own = &block[row * width..][..width];
+                out.iter_mut().zip(own).for_each(|(out, own)| *out = sum * own);
+                for (&column, &value) in columns.iter().zip(values) {
+                    let other = &block[column as usize * width..][..width];
+                    out.iter_mut().zip(own.iter().zip(other)).for_each(|(out, (own, other))| *out += value * (other - own));
+                }
+            }
+        });
+        out
     }
 
     fn mass_diagonal(&self) -> Vec<f64> {
@@ -315,28 +369,99 @@ impl<'a> Pencil<'a> {
         }
     }
 
-    /// By Weyl's law λ_k is about k / n of the largest; the median quotient stands for the latter, so that a few bad
-    /// triangles do not count.
-    fn default_shift(&self, k: usize) -> f64 {
-        let mut quotients: Vec<f64> =
-            self.matrix.diagonal().iter().zip(self.mass_diagonal()).map(|(a, m)| a / m).filter(|q| q.is_finite()).collect();
-        quotients.sort_unstable_by(f64::total_cmp);
-        let median = quotients.get(quotients.len() / 2).copied().unwrap_or(0.0);
-        let scale = if median > 0.0 { median } else { quotients.last().copied().unwrap_or(0.0) };
-        if scale > 0.0 { -0.02 * scale * (k + 1) as f64 / (self.n + 1) as f64 } else { -1.0 }
-    }
-
-    fn smallest(&self, k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+    fn nearest(&self, k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+        let quotients: Vec<f64> =
+            self.matrix.diagonal().iter().zip(self.mass_diagonal()).map(|(a, m)| a / m).filter(|q| q.is_finite() && *q > 0.0).collect();
+        let largest = quotients.iter().copied().fold(0.0, f64::max);
+        // The harmonic mean counts every part of the shape by its area.
+        let inverses: f64 = quotients.iter().map(|q| largest / q).sum();
+        let scale = if largest > 0.0 { largest * quotients.len() as f64 / inverses } else { 0.0 };
+        let accepted = |found: &Eigenpairs, shift: f64| {
+            let size = found.values.iter().fold(shift.abs(), |size, value| size.max(value.abs()));
+            found.residuals.iter().position(|&rest| rest > ACCEPTED * size && rest > TOLERANCE * largest)
+        };
+        let refused = |found: &Eigenpairs, shift: f64, pair: usize| {
+            Err(Error::NotConverged(format!(
+                "eigenpair {pair} = {:.6e} has a residual of {:.1e}: the entries of the matrices differ too much in size; give shift= near \
+                 the wanted values (now {shift:.1e}), or use laplacian=\"intrinsic_delaunay\"",
+                found.values[pair], found.residuals[pair]
+            )))
+        };
         // With most of the spectrum wanted the basis would be the whole space.
         if self.n <= DENSE || (3 * k + 4 * BLOCK > self.n && self.n <= 8 * DENSE) {
-            self.dense(k)
-        } else {
-            self.lanczos(k, options, control)
+            let found = self.dense(k, options.shift, control)?.checked(self)?;
+            return match accepted(&found, scale) {
+                Some(pair) => refused(&found, 0.0, pair),
+                None => Ok(found),
+            };
+        }
+        // By Weyl's law λ_k is about k / n of the scale. Where that is far from the wanted values, they tell a better shift.
+        let share = 0.02 * (k + 1) as f64 / (self.n + 1) as f64;
+        let mut shift = options.shift.unwrap_or(if scale > 0.0 { -share * scale } else { -1.0 });
+        let mut iterations = 0;
+        loop {
+            let factor = self.factor(shift, options, control)?;
+            let mut found = self.lanczos(k, shift, &factor, options, control)?;
+            found.iterations += iterations;
+            iterations = found.iterations;
+            let mut checked = found.checked(self)?;
+            if accepted(&checked, 1e-3 * shift).is_some() {
+                checked = self.polished(checked, shift, &factor, control)?;
+            }
+            let top = checked.values.iter().fold(0.0, |top: f64, value| top.max(value.abs()));
+            if options.shift.is_none() && shift.abs() > FAR * top && top > ROUNDING * scale {
+                shift = -0.1 * top;
+                continue;
+            }
+            return match accepted(&checked, shift) {
+                Some(pair) => refused(&checked, shift, pair),
+                None => Ok(checked),
+            };
         }
     }
 
-    fn dense(&self, k: usize) -> Result<Eigenpairs> {
+    /// The factor of A - σ M: Cholesky's below the spectrum, one with pivots inside it, where the caller asks for that.
+    fn factor(&self, shift: f64, options: &EigenOptions, control: &Control) -> Result<Factor> {
+        let shifted = self.shifted(shift)?;
+        match Cholesky::new(&shifted, options.coordinates, control) {
+            Ok(factor) => Ok(Factor::Definite(factor)),
+            Err(Error::Numerical(_)) if options.shift.is_some() => {
+                Ok(Factor::Indefinite(Box::new(Indefinite::new(shifted, options.coordinates, control)?)))
+            }
+            Err(Error::Numerical(reason)) => Err(Error::numerical(format!(
+                "the pencil has eigenvalues below {shift:.3e}: {reason}; give shift= near the wanted ones, below or among them"
+            ))),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// One step of subspace iteration with a Rayleigh-Ritz projection: it damps what is left of the upper end of the spectrum.
+    fn polished(&self, found: Eigenpairs, shift: f64, factor: &Factor, control: &Control) -> Result<Eigenpairs> {
+        let k = found.values.len();
+        let right = self.mass_times(&found.vectors, k)?;
+        let mut next = vec![0.0; right.len()];
+        factor.solve_block_into(&right, k, &mut next, &mut Scratch::default())?;
+        control.check()?;
+        let (mass, projected) =
+            (gram(&next, &self.mass_times(&next, k)?, k), gram(&next, &self.shifted(shift)?.multiply_block(&next, k)?, k));
+        let scale: Vec<f64> = (0..k).map(|i| 1.0 / mass[(i, i)].sqrt()).collect();
+        let unit = |matrix: &Mat<f64>| Mat::from_fn(k, k, |i, j| 0.5 * (matrix[(i, j)] + matrix[(j, i)]) * scale[i] * scale[j]);
+        let (sizes, turn) = dense_eigen(unit(&mass).as_ref())?;
+        if sizes[0] <= 0.0 {
+            return Ok(found);
+        }
+        let white = Mat::from_fn(k, k, |i, j| scale[i] * turn[(i, j)] / sizes[j].sqrt());
+        let projected = Mat::from_fn(k, k, |i, j| 0.5 * (projected[(i, j)] + projected[(j, i)]));
+        let (_, vectors) = dense_eigen((white.transpose() * &projected * &white).as_ref())?;
+        let vectors = transform(&next, k, (&white * &vectors).as_ref());
+        let better = Eigenpairs { vectors, ..found.clone() }.checked(self)?;
+        let worst = |pairs: &Eigenpairs| pairs.residuals.iter().fold(0.0, |worst: f64, &rest| worst.max(rest));
+        Ok(if worst(&better) < worst(&found) { better } else { found })
+    }
+
+    fn dense(&self, k: usize, shift: Option<f64>, control: &Control) -> Result<Eigenpairs> {
         let n = self.n;
+        control.check()?;
         let full = |matrix: &Csr| {
             let mut dense = Mat::<f64>::zeros(n, n);
             for row in 0..n {
@@ -363,7 +488,7 @@ impl<'a> Pencil<'a> {
                         vectors[(i, j)] *= scale[i];
                     }
                 }
-                return Ok(Eigenpairs::from_columns(&values, vectors.as_ref(), k));
+                return Ok(Eigenpairs::from_columns(&values, vectors.as_ref(), k, shift));
             }
             Mass::Matrix(matrix) => {
                 let lower =
@@ -374,19 +499,18 @@ impl<'a> Pencil<'a> {
             }
         };
         let (values, vectors) = dense_eigen((&back * &a * back.transpose()).as_ref())?;
-        Ok(Eigenpairs::from_columns(&values, (back.transpose() * &vectors).as_ref(), k))
+        Ok(Eigenpairs::from_columns(&values, (back.transpose() * &vectors).as_ref(), k, shift))
     }
 
-    fn lanczos(&self, k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+    fn lanczos(&self, k: usize, shift: f64, factor: &Factor, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
         let n = self.n;
-        let shift = options.shift.unwrap_or_else(|| self.default_shift(k));
-        let factor = Cholesky::new(&self.shifted(shift)?, options.coordinates, control)?;
-        let start_width = options.start.map_or(BLOCK, |(_, width)| width.min(k + BLOCK)).min(n);
-        let room = (k + (k + k / 4).max(5 * BLOCK) + 2 * start_width.max(BLOCK)).min(n);
+        let given = options.start.map_or(0, |(_, width)| width.min(k + BLOCK));
+        let start_width = (given + BLOCK).min(n);
+        let room = (k + (k + k / 4).max(5 * BLOCK) + 2 * start_width).min(n);
         let mut search = Search {
             pencil: self,
-            factor: &factor,
-            basis: Basis::new(n, room),
+            factor,
+            basis: Basis::new(n, room)?,
             projected: Mat::zeros(room, room),
             sequence: Sequence(0),
             block: Vec::new(),
@@ -394,13 +518,20 @@ impl<'a> Pencil<'a> {
             scratch: Scratch::default(),
             coupling: Mat::zeros(0, 0),
         };
-        let start = match options.start {
-            Some((numbers, width)) => numbers.chunks_exact(width).flat_map(|row| row[..start_width].iter().copied()).collect(),
-            None => search.sequence.block(n, start_width),
-        };
+        let mut start = search.sequence.block(n, start_width);
+        if let Some((numbers, width)) = options.start {
+            let largest: Vec<f64> =
+                (0..given).map(|j| numbers.chunks_exact(width).fold(0.0, |largest: f64, row| largest.max(row[j].abs()))).collect();
+            for (row, source) in start.chunks_exact_mut(start_width).zip(numbers.chunks_exact(width)) {
+                for j in (0..given).filter(|&j| largest[j] > 0.0) {
+                    row[j] = source[j] / largest[j];
+                }
+            }
+        }
         search.fresh_block(start, start_width)?;
         let mut known: Option<Vec<f64>> = None; // the values before the last search for missing copies
-        for blocks in 1..=MAX_BLOCKS {
+        let most = MAX_BLOCKS.max(4 * room / BLOCK);
+        for blocks in 1..=most {
             control.check()?;
             search.expand(control)?;
             let full = search.basis.width == n && search.block.is_empty();
@@ -433,20 +564,36 @@ impl<'a> Pencil<'a> {
             }
         }
         Err(Error::NotConverged(format!(
-            "{k} eigenpairs of {n} unknowns did not converge in {MAX_BLOCKS} blocks of solves; the shape may have slivers: use laplacian=\"intrinsic_delaunay\", or ask for fewer"
+            "{k} eigenpairs of {n} unknowns did not converge in {most} blocks of solves (shift = {shift:.1e}); the shape may have slivers: use laplacian=\"intrinsic_delaunay\", or ask for fewer"
         )))
     }
 }
 
 /// Whether so many of the values are equal that copies beyond the width of a block may be missing.
 fn has_large_cluster(theta: &[f64]) -> bool {
-    theta.windows(BLOCK).any(|window| (window[0] - window[BLOCK - 1]).abs() <= 1e-6 * window[0].abs())
+    let mut theta = theta.to_vec();
+    theta.sort_unstable_by(f64::total_cmp);
+    theta.windows(BLOCK).any(|window| window[BLOCK - 1] - window[0] <= 1e-6 * window[0].abs())
+}
+
+enum Factor {
+    Definite(Cholesky),
+    Indefinite(Box<Indefinite>),
+}
+
+impl Factor {
+    fn solve_block_into(&self, b: &[f64], width: usize, out: &mut [f64], scratch: &mut Scratch) -> Result<()> {
+        match self {
+            Factor::Definite(factor) => factor.solve_block_into(b, width, out, scratch),
+            Factor::Indefinite(factor) => factor.solve_block_into(b, width, out),
+        }
+    }
 }
 
 /// The state of one block Lanczos run: `Op V = V H + Q (coupling) E^T`, V orthonormal, Q the block to come.
 struct Search<'a> {
     pencil: &'a Pencil<'a>,
-    factor: &'a Cholesky,
+    factor: &'a Factor,
     basis: Basis,
     projected: Mat<f64>,
     sequence: Sequence,
@@ -601,11 +748,12 @@ impl Search<'_> {
         Ok((block, r))
     }
 
-    /// Ritz values by descending θ, vectors in the basis, and the error of each.
+    /// Ritz values by descending size of θ, vectors in the basis, and the error of each.
     fn ritz(&self) -> Result<(Vec<f64>, Mat<f64>, Vec<f64>)> {
         let size = self.basis.width;
         let (values, vectors) = dense_eigen(self.projected.as_ref().submatrix(0, 0, size, size))?;
-        let order: Vec<usize> = (0..size).rev().collect();
+        let mut order: Vec<usize> = (0..size).rev().collect();
+        order.sort_by(|&a, &b| values[b].abs().total_cmp(&values[a].abs()));
         let theta: Vec<f64> = order.iter().map(|&i| values[i]).collect();
         let turned = Mat::from_fn(size, size, |i, j| vectors[(i, order[j])]);
         let last = self.coupling.ncols();
@@ -639,18 +787,23 @@ impl Search<'_> {
 }
 
 impl Eigenpairs {
-    fn from_columns(values: &[f64], vectors: MatRef<f64>, k: usize) -> Self {
-        let vectors = (0..vectors.nrows()).flat_map(|i| (0..k).map(move |j| vectors[(i, j)])).collect();
-        Eigenpairs { values: values[..k].to_vec(), vectors, residuals: Vec::new(), iterations: 0 }
+    /// The k nearest to the shift, the smallest without one.
+    fn from_columns(values: &[f64], vectors: MatRef<f64>, k: usize, shift: Option<f64>) -> Self {
+        let mut chosen: Vec<usize> = (0..values.len()).collect();
+        if let Some(shift) = shift {
+            chosen.sort_by(|&a, &b| (values[a] - shift).abs().total_cmp(&(values[b] - shift).abs()));
+        }
+        chosen.truncate(k);
+        let vectors = (0..vectors.nrows()).flat_map(|i| chosen.iter().map(move |&j| vectors[(i, j)])).collect();
+        Eigenpairs { values: chosen.iter().map(|&j| values[j]).collect(), vectors, residuals: Vec::new(), iterations: 0 }
     }
 
-    /// Sorted, with fixed signs, Rayleigh quotients as values, and the residuals; refuses what has not converged.
-    fn checked(mut self, matrix: &Csr, mass: Mass) -> Result<Self> {
+    /// Sorted, with fixed signs, Rayleigh quotients as values, and the residuals.
+    fn checked(mut self, pencil: &Pencil) -> Result<Self> {
         let k = self.values.len();
-        let pencil = Pencil::new(matrix, mass)?;
-        let (images, mass_images) = (matrix.multiply_block(&self.vectors, k)?, pencil.mass_times(&self.vectors, k)?);
+        let (images, mass_images) = (pencil.images(&self.vectors, k), pencil.mass_times(&self.vectors, k)?);
         let diagonal = pencil.mass_diagonal();
-        let columns: Vec<(f64, f64, f64, f64, f64)> = (0..k)
+        let columns: Vec<(f64, f64, f64)> = (0..k)
             .into_par_iter()
             .map(|j| {
                 let column = |numbers: &[f64], row: usize| numbers[row * k + j];
@@ -664,18 +817,12 @@ impl Eigenpairs {
                     }
                 }
                 let value = energy / norm;
-                let (mut rest, mut size) = (0.0, 0.0);
-                for row in 0..pencil.n {
-                    let r = column(&images, row) - value * column(&mass_images, row);
-                    rest += r * r / diagonal[row];
-                    size += column(&images, row).powi(2) / diagonal[row];
-                }
-                (value, (rest / norm).sqrt(), largest.signum() / norm.sqrt(), size, norm)
+                let rest: f64 =
+                    (0..pencil.n).map(|row| (column(&images, row) - value * column(&mass_images, row)).powi(2) / diagonal[row]).sum();
+                (value, (rest / norm).sqrt(), largest.signum() / norm.sqrt())
             })
             .collect();
-        if let Some(j) =
-            columns.iter().position(|&(value, rest, scale, _, _)| !(value.is_finite() && rest.is_finite() && scale.is_finite()))
-        {
+        if let Some(j) = columns.iter().position(|&(value, rest, scale)| !(value.is_finite() && rest.is_finite() && scale.is_finite())) {
             return Err(Error::numerical(format!("eigenpair {j} overflowed; rescale the shape, or use laplacian=\"intrinsic_delaunay\"")));
         }
         let mut order: Vec<usize> = (0..k).collect();

@@ -2,12 +2,12 @@
 
 mod cholesky;
 mod dense;
+mod eigen;
+mod indefinite;
 mod laplacian;
 mod ordering;
 mod sweep;
 mod symbolic;
-
-mod eigen;
 
 pub use cholesky::{Cholesky, Scratch};
 pub use eigen::{EigenOptions, Eigenpairs, Mass, eigenpairs};

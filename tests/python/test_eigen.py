@@ -174,8 +174,71 @@ def test_bad_input():
         bt.eigenpairs(mesh, 3, start=np.ones((5, 2)))
     with pytest.raises(bt.InputError, match="mass"):
         bt.eigenpairs(sparse.eye_array(4), 2, mass=[1, 1, -1, 1])
-    with pytest.raises(bt.Error):
-        bt.eigenpairs(bt.shapes.sphere(4), 3, shift=5.0)
+    with pytest.raises(bt.InputError, match="k is 1000000000000000000000000000000"):
+        bt.eigenpairs(mesh, 10**30)
+    with pytest.raises(bt.InputError, match=r"not symmetric: entries \(0, 1\)"):
+        bt.eigenpairs(sparse.csr_array([[2.0, 1.0], [0.0, 2.0]]), 1)
+    with pytest.raises(bt.InputError, match="mass matrix is not symmetric"):
+        bt.eigenpairs(sparse.eye_array(2), 1, mass=sparse.csr_array([[2.0, 1.0], [0.0, 2.0]]))
+    with pytest.raises(bt.InputError, match="2 x 3"):
+        bt.eigenpairs(sparse.eye_array(2), 1, mass=sparse.csr_array(np.ones((2, 3))))
+    with pytest.raises(bt.NumericalError, match="give shift="):
+        bt.eigenpairs(sparse.diags_array(np.linspace(-1, 5, 1000)), 2)
+
+
+def test_the_values_nearest_to_a_shift():
+    """On the sphere 6 and 12 have 5 and 7 copies; on a diagonal matrix everything is known."""
+    ops = bt.operators(bt.shapes.sphere(frequency=7))
+    all_of_them = dense_values(ops.stiffness, ops.mass, 60)
+    for shift, k in ((5.9, 5), (12.1, 7), (8.9, 12)):
+        e = bt.eigenpairs(ops, k, shift=shift)
+        nearest = np.sort(all_of_them[np.argsort(abs(all_of_them - shift))[:k]])
+        assert np.allclose(e.values, nearest, rtol=1e-10)
+        assert abs(e.functions.T @ (ops.mass[:, None] * e.functions) - np.eye(k)).max() < 1e-10
+    line = sparse.diags_array(np.linspace(-1, 5, 601))
+    assert np.allclose(bt.eigenpairs(line, 3, shift=2.003).values, [1.99, 2.0, 2.01], atol=1e-12)
+    assert np.allclose(bt.eigenpairs(line, 2, shift=-7.0).values, [-1, -0.99], atol=1e-12)
+    few = sparse.diags_array(np.arange(-5.0, 6))
+    assert np.allclose(bt.eigenpairs(few, 3, shift=2.1).values, [1, 2, 3], atol=1e-12)
+
+
+@pytest.mark.parametrize("width", [1, 2, 5])
+def test_a_narrow_start_misses_no_copy(width):
+    ops = bt.operators(bt.shapes.sphere(frequency=8))
+    cold = bt.eigenpairs(ops, 16)
+    for scale in (1.0, 1e200, 1e-200):
+        warm = bt.eigenpairs(ops, 16, start=scale * cold.functions[:, :width])
+        assert np.allclose(warm.values, cold.values, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 1e-6])
+def test_pieces_of_very_different_size(ratio):
+    """The small piece has a single value, 0, among the first of the large one."""
+    piece = bt.shapes.sphere(frequency=6)
+    mesh = bt.TriangleMesh(
+        np.vstack([piece.vertices, 5 + ratio * piece.vertices]), np.vstack([piece.faces, piece.faces + len(piece.vertices)])
+    )
+    alone = bt.operators(piece)
+    exact = np.r_[0, dense_values(alone.stiffness, alone.mass, 19)]
+    e = bt.eigenpairs(mesh, 20)
+    assert np.allclose(e.values, exact, rtol=1e-6, atol=1e-6)
+
+
+def test_graded_mesh_against_a_dense_solver():
+    """Spacings from 1 to 1e-5 in one disc."""
+    radii = np.geomspace(1e-5, 1.0, 25)
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    points = np.vstack([[[0.0, 0.0]], *(r * np.c_[np.cos(angles), np.sin(angles)] for r in radii)])
+    ring = np.arange(24)
+    faces = [np.c_[np.zeros(24, int), 1 + ring, 1 + (ring + 1) % 24]]
+    for at in range(24):
+        a, b = 1 + 24 * at, 25 + 24 * at
+        faces += [np.c_[a + ring, b + ring, b + (ring + 1) % 24], np.c_[a + ring, b + (ring + 1) % 24, a + (ring + 1) % 24]]
+    ops = bt.operators(bt.TriangleMesh(points, np.vstack(faces)))
+    e = bt.eigenpairs(ops, 12)
+    # The dense solver has the rounding of the largest value, some 1e10 times the wanted ones.
+    assert np.allclose(e.values, dense_values(ops.stiffness, ops.mass, 12), rtol=1e-4, atol=1e-4)
+    assert e.residuals.max() < 1e-5 * e.values[-1]  # what is handed out at most
 
 
 def test_plot_shows_the_modes_asked_for(tmp_path):
