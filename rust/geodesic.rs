@@ -3,11 +3,15 @@
 //! 1. heat flows from the sources for a short time, `(M + t L) u = δ`; 2. `X = -grad u / |grad u|` on each simplex;
 //! 3. a Poisson equation recovers the distance, `L φ = G^T A X`. On shapes with boundary u is the sum of the flows with
 //!    natural and with zero boundary values, which follows the boundary less than either.
+//!
+//! A positive weight of an edge (an angle beyond the Delaunay condition, also one at the boundary) can make u negative and turn X round:
+//! meshes that have one are handed to their tufted cover, which has none (Sharp & Crane 2020). Among many sources X is 0 where all corners
+//! are sources, and φ is 0 at each of them.
 
 use crate::control::Control;
 use crate::error::{Error, Result};
-use crate::operators::{cotangent_operators, gradient};
-use crate::shape::{Topology, TriangleMesh};
+use crate::operators::{cotangent_operators, gradient, has_positive_weights};
+use crate::shape::{Topology, TriangleMesh, tufted};
 use crate::solvers::{Cholesky, LaplacianSolver};
 use crate::sparse::{CHUNK, Csr};
 use rayon::prelude::*;
@@ -103,24 +107,38 @@ impl HeatMethod {
         Ok(method)
     }
 
-    /// The method on a mesh, with its cotangent operators.
+    /// The method on a mesh: with its cotangent operators, or those of its tufted cover where a weight of theirs is positive.
     ///
     /// # Errors
-    /// Those of [`HeatMethod::new`] and of [`cotangent_operators`].
+    /// Those of [`HeatMethod::new`], of [`cotangent_operators`] and of [`tufted`].
     pub fn on_mesh(mesh: &TriangleMesh, time_factor: f64, control: &Control) -> Result<Self> {
         let operators = cotangent_operators(mesh)?;
         let mut boundary = vec![false; mesh.vertex_count()];
         for curve in Topology::new(mesh)?.boundary_loops() {
             curve.vertices.iter().for_each(|&vertex| boundary[vertex as usize] = true);
         }
-        let shape = HeatOperators {
-            gradient: gradient(mesh)?,
-            areas: mesh.face_areas(),
-            coordinates: Some((mesh.vertices().to_vec(), mesh.dimension())),
-            stiffness: operators.stiffness,
-            mass: operators.mass,
-            spacing: operators.spacing,
-            boundary,
+        let coordinates = Some((mesh.vertices().to_vec(), mesh.dimension()));
+        let shape = if has_positive_weights(&operators.stiffness) {
+            let cover = tufted(mesh, control)?;
+            HeatOperators {
+                gradient: cover.gradient(),
+                areas: cover.face_areas(),
+                stiffness: cover.stiffness(),
+                mass: cover.mass(),
+                spacing: cover.spacing(),
+                boundary,
+                coordinates,
+            }
+        } else {
+            HeatOperators {
+                gradient: gradient(mesh)?,
+                areas: mesh.face_areas(),
+                stiffness: operators.stiffness,
+                mass: operators.mass,
+                spacing: operators.spacing,
+                boundary,
+                coordinates,
+            }
         };
         HeatMethod::new(shape, time_factor, control)
     }
@@ -148,17 +166,7 @@ impl HeatMethod {
             let natural = Cholesky::new(&matrix, coordinates, control)?;
             let boundary = &self.shape.boundary;
             let zero = if boundary.contains(&true) {
-                let values = (0..matrix.rows())
-                    .flat_map(|row| {
-                        let (columns, values) = matrix.row(row);
-                        columns.iter().zip(values).map(move |(&column, &value)| {
-                            let cut = column as usize != row && (boundary[row] || boundary[column as usize]);
-                            if cut { 0.0 } else { value }
-                        })
-                    })
-                    .collect();
-                let matrix = Csr::new(matrix.rows(), matrix.columns(), matrix.starts().to_vec(), matrix.indices().to_vec(), values)?;
-                Some(Cholesky::with_symbolic(&natural.symbolic(), &matrix, control)?)
+                Some(Cholesky::with_symbolic(&natural.symbolic(), &apart(&matrix, boundary)?, control)?)
             } else {
                 None
             };
@@ -182,34 +190,86 @@ impl HeatMethod {
             return Err(Error::input(format!("source {wrong} is no vertex; the shape has {n}, numbered from 0")));
         }
         let labels = self.poisson.labels();
-        // The Poisson equation leaves a constant free on each component: there the distance is 0 at its sources, on the average.
-        let mut sums = vec![(0.0, 0usize); self.poisson.components()];
-        sources.iter().for_each(|&source| sums[labels[source] as usize].1 += 1);
-        let reached: Vec<bool> = labels.iter().map(|&label| sums[label as usize].1 > 0).collect();
-        let flux = self.flux(sources, &reached, control)?;
-        let mut distance = self.poisson.solve(&flux, 1)?;
+        let mut is_source = vec![false; n];
+        let mut counts = vec![0usize; self.poisson.components()];
+        for &source in sources {
+            counts[labels[source] as usize] += usize::from(!is_source[source]);
+            is_source[source] = true;
+        }
+        let reached: Vec<bool> = labels.iter().map(|&label| counts[label as usize] > 0).collect();
+        let mut flux = self.flux(&is_source, &reached, control)?;
+        let mut distance = if counts.iter().any(|&count| count > 1) {
+            // φ = 0 at every source: the Poisson equation for the others alone
+            let fixed: Vec<bool> = is_source.iter().zip(&reached).map(|(source, reached)| *source || !reached).collect();
+            let whole = self.shape.stiffness.combine(1.0, &Csr::from_diagonal(&vec![0.0; n]), 1.0)?;
+            let symbolic = self.heat(0, control)?.natural.symbolic();
+            flux.iter_mut().zip(&fixed).filter(|(_, fixed)| **fixed).for_each(|(flux, _)| *flux = 0.0);
+            Cholesky::with_symbolic(&symbolic, &apart(&whole, &fixed)?, control)?.solve(&flux)?
+        } else {
+            // one source leaves only a constant to find, on each component
+            let mut distance = self.poisson.solve(&flux, 1)?;
+            let mut starts = vec![0.0; counts.len()];
+            sources.iter().for_each(|&source| starts[labels[source] as usize] = distance[source]);
+            distance.iter_mut().zip(labels).for_each(|(distance, &label)| *distance -= starts[label as usize]);
+            distance
+        };
         if distance.iter().any(|number| !number.is_finite()) {
             return Err(Error::numerical("the distances overflow; rescale the shape"));
         }
-        sources.iter().for_each(|&source| sums[labels[source] as usize].0 += distance[source]);
-        for ((distance, &label), &reached) in distance.iter_mut().zip(labels).zip(&reached) {
-            let (sum, count) = sums[label as usize];
-            *distance = if reached { (*distance - sum / count as f64).max(0.0) } else { f64::INFINITY };
+        for ((distance, &source), &reached) in distance.iter_mut().zip(&is_source).zip(&reached) {
+            *distance = match (source, reached) {
+                (true, _) => 0.0,
+                (false, true) => distance.max(0.0),
+                (false, false) => f64::INFINITY,
+            };
         }
-        sources.iter().for_each(|&source| distance[source] = 0.0);
         Ok(distance)
     }
 
-    /// G^T A X of the unit field X = -grad u / |grad u|.
-    fn flux(&self, sources: &[usize], reached: &[bool], control: &Control) -> Result<Vec<f64>> {
+    /// What a source emits for all to be equally hot a little way off: 1, and at the boundary its angle over π, because both flows
+    /// together are twice as hot as on a shape without boundary, and at a straight edge the natural one alone is.
+    fn emission(&self, vertex: usize) -> f64 {
+        let width = self.shape.gradient.rows() / self.shape.areas.len();
+        let mut simplices: Vec<usize> = self.transposed.row(vertex).0.iter().map(|&row| row as usize / width).collect();
+        simplices.dedup();
+        if !self.shape.boundary[vertex] || simplices.is_empty() {
+            return 1.0;
+        }
+        let mut angle = 0.0;
+        for simplex in simplices {
+            let rows = simplex * width..(simplex + 1) * width;
+            let mut corners: Vec<u32> = rows.clone().flat_map(|row| self.shape.gradient.row(row).0.iter().copied()).collect();
+            corners.sort_unstable();
+            corners.dedup();
+            corners.retain(|&corner| corner as usize != vertex);
+            let &[b, c] = corners.as_slice() else { return 1.0 }; // no triangle
+            let (mut bb, mut bc, mut cc) = (0.0, 0.0, 0.0);
+            for row in rows {
+                let (columns, values) = self.shape.gradient.row(row);
+                let [x, y] = [b, c].map(|corner| columns.binary_search(&corner).map_or(0.0, |at| values[at]));
+                (bb, bc, cc) = (bb + x * x, bc + x * y, cc + y * y);
+            }
+            // the two hats' gradients are perpendicular to the edges at the vertex, and their cross product is 1 / (2 area)
+            let cross = (bb * cc - bc * bc).max(0.0).sqrt();
+            angle += cross.atan2(-bc) * (2.0 * self.shape.areas[simplex] * cross);
+        }
+        (angle / std::f64::consts::PI).clamp(0.1, 2.0)
+    }
+
+    /// G^T A X of the unit field X = -grad u / |grad u|, which is 0 on simplices between sources only.
+    fn flux(&self, is_source: &[bool], reached: &[bool], control: &Control) -> Result<Vec<f64>> {
         let (n, m) = (self.shape.mass.len(), self.shape.areas.len());
         let width = self.shape.gradient.rows() / m;
-        let mut impulse = vec![0.0; n];
-        sources.iter().for_each(|&source| impulse[source] = 1.0);
+        let impulse: Vec<f64> =
+            is_source.iter().enumerate().map(|(vertex, source)| if *source { self.emission(vertex) } else { 0.0 }).collect();
         let inner: Vec<f64> =
             impulse.iter().zip(&self.shape.boundary).map(|(&heat, &boundary)| if boundary { 0.0 } else { heat }).collect();
         let mut field = vec![0.0; m * width];
-        let mut known = vec![false; m];
+        let between = |simplex: usize| {
+            let mut rows = simplex * width..(simplex + 1) * width;
+            rows.all(|row| self.shape.gradient.row(row).0.iter().all(|&corner| is_source[corner as usize]))
+        };
+        let mut known: Vec<bool> = (0..m).into_par_iter().with_min_len(CHUNK).map(between).collect();
         for step in 0..TIMES {
             control.check()?;
             let factors = self.heat(step, control)?;
@@ -248,4 +308,27 @@ impl HeatMethod {
             self.time
         )))
     }
+}
+
+/// The matrix without the entries that join a fixed unknown to another; fixed unknowns keep a positive diagonal.
+fn apart(matrix: &Csr, fixed: &[bool]) -> Result<Csr> {
+    let values = (0..matrix.rows())
+        .into_par_iter()
+        .with_min_len(CHUNK)
+        .flat_map_iter(|row| {
+            let (columns, values) = matrix.row(row);
+            columns.iter().zip(values).map(move |(&column, &value)| match column as usize {
+                column if column == row => {
+                    if fixed[row] && value <= 0.0 {
+                        1.0
+                    } else {
+                        value
+                    }
+                }
+                column if fixed[row] || fixed[column] => 0.0,
+                _ => value,
+            })
+        })
+        .collect();
+    Csr::new(matrix.rows(), matrix.columns(), matrix.starts().to_vec(), matrix.indices().to_vec(), values)
 }

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from . import _core, arrays
+from . import _core, arrays, intrinsic
 from .arrays import Floats
 from .operators import Operators, operators
 from .progress import Progress, reporter
-from .shapes import Shape
+from .shapes import Shape, TriangleMesh
 
 __all__ = ["HeatMethod", "geodesic_distance"]
 
@@ -17,16 +17,29 @@ class HeatMethod:
     """Distances on one shape from as many sets of sources as one likes: the factorizations are kept.
 
     Heat spreads for a short time from the sources, its normalized gradient is that of the distance, and a Poisson equation
-    recovers the distance from it (Crane, Weischedel and Wardetzky 2013):
+    recovers the distance from it [1]_:
 
     1. ``(M + t L) u = δ``, 2. ``X = -grad u / |grad u|``, 3. ``L φ = -M div X``. On shapes with boundary u is the sum
-    of the flows with natural and with zero boundary values.
+    of the flows with natural and with zero boundary values. Between sources that are neighbours X is 0, and φ is 0 at every source.
+
+    Where a weight of a mesh's stiffness is positive (edges that are not Delaunay, obtuse angles at the boundary) heat would become
+    negative and distances wrong: then the operators of the tufted cover [2]_ are used, and ``operators.notes`` says so.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
     time_factor : float
         The time t in units of the squared spacing. Larger smooths.
+
+    Attributes
+    ----------
+    operators : Operators
+        Those that are used.
+
+    References
+    ----------
+    .. [1] Crane, Weischedel and Wardetzky, Geodesics in heat, ACM Transactions on Graphics 32, 2013.
+    .. [2] Sharp and Crane, A Laplacian for nonmanifold triangle meshes, Computer Graphics Forum 39, 2020.
 
     Examples
     --------
@@ -36,8 +49,8 @@ class HeatMethod:
     """
 
     def __init__(self, shape: Shape | Operators, *, time_factor: float = 1.0, progress: Progress = None) -> None:
-        ops = self.operators = operators(shape)
         self.time_factor = arrays.number(time_factor, "time_factor", above=0.0)
+        ops = self.operators = _without_positive_weights(operators(shape))
         self._core = _core.HeatMethod(
             arrays.csr_in(ops.stiffness, "the stiffness"),
             ops.mass,
@@ -77,6 +90,14 @@ class HeatMethod:
         return self._core.distance(arrays.indices(sources, "sources", len(self.operators.mass)))
 
 
+def _without_positive_weights(ops: Operators) -> Operators:
+    shape = ops.shape
+    if not isinstance(shape, TriangleMesh) or not _core.has_positive_weights(arrays.csr_in(ops.stiffness, "the stiffness")):
+        return ops
+    note = f"the heat method took 'tufted': {ops.kind!r} has edges of positive weight, where heat would become negative"
+    return intrinsic.build(shape, "tufted", voronoi=False, progress=None, notes=(*ops.notes, note))
+
+
 def _remake(ops: Operators, time_factor: float) -> HeatMethod:
     return HeatMethod(ops, time_factor=time_factor)
 
@@ -99,6 +120,10 @@ def geodesic_distance(shape: Shape | Operators, sources: Any, *, time_factor: fl
     -------
     ndarray (n,)
         In the user's units; inf on components without a source. The error is about the spacing.
+
+    Notes
+    -----
+    Where a weight of the mesh's stiffness is positive the tufted cover is used; see :class:`HeatMethod`.
 
     Raises
     ------

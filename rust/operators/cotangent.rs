@@ -30,6 +30,8 @@ struct Element {
 /// A triangle counts as degenerate when twice its area is below this share of its longest squared edge: then rounding
 /// alone decides its angles.
 const DEGENERATE: f64 = 4.0 * f64::EPSILON;
+/// A weight below this share of the largest one of its row is taken for 0.
+const ROUNDING: f64 = 1e-10;
 /// Squared edges beyond these bounds over- or underflow in the squared area.
 const SCALE: std::ops::Range<f64> = 1e-140..1e150;
 
@@ -240,6 +242,23 @@ pub fn cotangent_operators(mesh: &TriangleMesh) -> Result<MeshOperators> {
     let mass = lumped(&corners, |corner| elements[corner as usize / 3].area / 3.0);
     let spacing = mean_edge_length(mesh, &stiffness);
     Ok(MeshOperators { stiffness, mass, spacing })
+}
+
+/// True if an edge of a stiffness matrix has a positive weight (an entry off the diagonal above rounding), as edges do that are not
+/// Delaunay or face an obtuse angle at the boundary. Without one, solutions of the heat equation cannot become negative.
+///
+/// ```
+/// use beltrami::{TriangleMesh, operators::{cotangent_operators, has_positive_weights}};
+/// let flat = TriangleMesh::new(2, vec![0.0, 0.0, 1.0, 0.0, 0.5, 0.1], vec![[0, 1, 2]])?;
+/// assert!(has_positive_weights(&cotangent_operators(&flat)?.stiffness));
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+pub fn has_positive_weights(stiffness: &Csr) -> bool {
+    (0..stiffness.rows()).into_par_iter().with_min_len(CHUNK).any(|row| {
+        let (columns, values) = stiffness.row(row);
+        let size = values.iter().fold(0.0, |size: f64, value| size.max(value.abs()));
+        columns.iter().zip(values).any(|(&column, &value)| column as usize != row && value > ROUNDING * size)
+    })
 }
 
 /// Mixed Voronoi areas of the vertices (Meyer et al. 2003): Voronoi areas where a triangle is acute; in an obtuse one half

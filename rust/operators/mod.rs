@@ -5,7 +5,7 @@
 pub mod cotangent;
 mod intrinsic;
 
-pub use cotangent::{MeshOperators, cotangent_operators, divergence, galerkin_mass, gradient, voronoi_mass};
+pub use cotangent::{MeshOperators, cotangent_operators, divergence, galerkin_mass, gradient, has_positive_weights, voronoi_mass};
 
 pub(crate) mod dense;
 pub(crate) mod frames;

@@ -44,7 +44,7 @@ mod _core {
     #[pymodule_export]
     use super::near::{closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals};
     #[pymodule_export]
-    use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient};
+    use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient, has_positive_weights};
     #[pymodule_export]
     use super::sampling::{farthest_points, first_copies, poisson_disc};
     #[pymodule_export]

@@ -1,6 +1,6 @@
 //! Operators of meshes.
 
-use crate::convert::{CsrParts, MeshArrays, matrix_out, vector, vector_out};
+use crate::convert::{CsrArrays, CsrParts, MeshArrays, matrix_out, vector, vector_out};
 use crate::run;
 use beltrami::operators;
 use numpy::{PyArray1, PyReadonlyArray1};
@@ -46,4 +46,11 @@ pub fn galerkin_mass<'py>(py: Python<'py>, mesh: MeshArrays<'py>) -> PyResult<Cs
     let mesh = mesh.mesh()?;
     let found = run::watched(py, None, |_| operators::galerkin_mass(&mesh))?;
     Ok(matrix_out(py, found))
+}
+
+/// True if an edge of a stiffness matrix has a positive weight.
+#[pyfunction]
+pub fn has_positive_weights(py: Python<'_>, stiffness: CsrArrays<'_>) -> PyResult<bool> {
+    let stiffness = stiffness.matrix()?;
+    run::brief(py, || Ok(operators::has_positive_weights(&stiffness)))
 }
