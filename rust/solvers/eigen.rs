@@ -56,6 +56,7 @@ const MAX_BLOCKS: usize = 1000;
 const FAR: f64 = 100.0; // a default shift this many times the largest value wanted is chosen again
 const ROUNDING: f64 = 1e-12; // values below this share of the matrix's scale are zeros
 const ACCEPTED: f64 = 1e-5; // residual that is handed out, relative to the largest of the values and the shift
+const POLISHED: f64 = 1e-8; // residual above which a last step is worth its price
 const ASYMMETRY: f64 = 1e-10;
 
 /// The k eigenvalues of `A x = λ M x` nearest to the shift (the smallest, by default) with all copies of multiple ones, and their
@@ -376,10 +377,12 @@ impl Pencil<'_> {
         // The harmonic mean counts every part of the shape by its area.
         let inverses: f64 = quotients.iter().map(|q| largest / q).sum();
         let scale = if largest > 0.0 { largest * quotients.len() as f64 / inverses } else { 0.0 };
-        let accepted = |found: &Eigenpairs, shift: f64| {
+        let above = |share: f64, found: &Eigenpairs, shift: f64| {
             let size = found.values.iter().fold(shift.abs(), |size, value| size.max(value.abs()));
-            found.residuals.iter().position(|&rest| rest > ACCEPTED * size && rest > TOLERANCE * largest)
+            found.residuals.iter().position(|&rest| rest > share * size)
         };
+        let failed =
+            |found: &Eigenpairs, shift: f64| above(ACCEPTED, found, shift).filter(|&pair| found.residuals[pair] > TOLERANCE * largest);
         let refused = |found: &Eigenpairs, shift: f64, pair: usize| {
             Err(Error::NotConverged(format!(
                 "eigenpair {pair} = {:.6e} has a residual of {:.1e}: the entries of the matrices differ too much in size; give shift= near \
@@ -390,7 +393,7 @@ impl Pencil<'_> {
         // With most of the spectrum wanted the basis would be the whole space.
         if self.n <= DENSE || (3 * k + 4 * BLOCK > self.n && self.n <= 8 * DENSE) {
             let found = self.dense(k, options.shift, control)?.checked(self)?;
-            return match accepted(&found, scale) {
+            return match failed(&found, scale) {
                 Some(pair) => refused(&found, 0.0, pair),
                 None => Ok(found),
             };
@@ -405,7 +408,7 @@ impl Pencil<'_> {
             found.iterations += iterations;
             iterations = found.iterations;
             let mut checked = found.checked(self)?;
-            if accepted(&checked, 1e-3 * shift).is_some() {
+            if above(POLISHED, &checked, shift).is_some() {
                 checked = self.polished(checked, shift, &factor, control)?;
             }
             let top = checked.values.iter().fold(0.0, |top: f64, value| top.max(value.abs()));
@@ -413,7 +416,7 @@ impl Pencil<'_> {
                 shift = -0.1 * top;
                 continue;
             }
-            return match accepted(&checked, shift) {
+            return match failed(&checked, shift) {
                 Some(pair) => refused(&checked, shift, pair),
                 None => Ok(checked),
             };
