@@ -12,6 +12,7 @@
 //! | [`geodesic`] | distance by the heat method |
 //! | [`sphere`] | inner loops of conformal maps to the sphere |
 //! | [`shrink`], [`levelset`] | total variation on simplices; contours of functions on meshes |
+//! | [`register`] | inner loops of near-isometric registration |
 //! | [`view`] | pictures without a display |
 //!
 //! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
@@ -26,6 +27,7 @@ pub mod io;
 pub mod levelset;
 pub mod near;
 pub mod operators;
+pub mod register;
 pub mod shape;
 pub mod shrink;
 pub mod sliced;

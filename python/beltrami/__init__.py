@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from . import examples, shapes
 from .conformal import SphericalMapResult, spherical_map
+from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
 from .errors import (
     Cancelled,
@@ -21,6 +22,7 @@ from .errors import (
 )
 from .files import load, save
 from .geodesic import HeatMethod, geodesic_distance
+from .maps import MapEvaluation, evaluate_map, functional_map_of, point_map_of, transfer
 from .moebius import Moebius
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
@@ -48,6 +50,7 @@ __all__ = [
     "HeatMethod",
     "InputError",
     "InternalError",
+    "MapEvaluation",
     "Moebius",
     "NumericalError",
     "Operators",
@@ -68,9 +71,12 @@ __all__ = [
     "contours",
     "denoise",
     "eigenpairs",
+    "evaluate_map",
     "examples",
     "farthest_points",
+    "functional_map_of",
     "geodesic_distance",
+    "hks",
     "intersect_rays",
     "load",
     "nearest_neighbors",
@@ -79,14 +85,18 @@ __all__ = [
     "num_threads",
     "operators",
     "plot",
+    "point_map_of",
     "poisson_disc",
     "rotation_invariant_sliced_wasserstein",
     "save",
     "segment",
     "segment_path",
     "set_num_threads",
+    "shape_dna",
     "shapes",
     "sliced_wasserstein",
     "solve_poisson",
     "spherical_map",
+    "transfer",
+    "wks",
 ]

@@ -15,7 +15,9 @@ __all__ = [
     "Elements",
     "HeatMethod",
     "LaplacianSolver",
+    "Rigid",
     "SlicedAlignment",
+    "ascend_triple_products",
     "check_mesh",
     "closest_points",
     "constrain",
@@ -53,20 +55,25 @@ __all__ = [
     "moebius_translated",
     "moving_least_squares",
     "nearest_neighbors",
+    "nearest_rows",
     "neighbors_within",
     "normals",
     "num_threads",
     "oriented_faces",
+    "orthogonal_functional_map",
     "paint",
     "png",
     "poisson_disc",
+    "polar",
     "save_file",
     "set_num_threads",
     "sliced_distance",
+    "spectral_point_maps",
     "strokes",
     "thinnest_face",
     "topology",
     "triangulate",
+    "upsample_maps",
     "weld",
 ]
 
@@ -213,9 +220,38 @@ def normals(points: Floats, neighbors: int, progress: Callable[[float], object] 
 def nearest_neighbors(
     points: Floats, queries: Floats, wanted: int, progress: Callable[[float], object] | None = None
 ) -> tuple[Ints, Floats]: ...
+def nearest_rows(points: Floats, queries: Floats, progress: Callable[[float], object] | None = None) -> tuple[Ints, Floats]: ...
 def neighbors_within(
     points: Floats, queries: Floats, radius: float, progress: Callable[[float], object] | None = None
 ) -> tuple[npt.NDArray[np.int64], Ints, Floats]: ...
+
+# register
+_Spectral = tuple[Floats, Floats, Floats]
+
+def polar(matrix: Floats) -> Floats: ...
+def ascend_triple_products(
+    maps: Floats,
+    source_even: Floats,
+    source_odd: Floats,
+    target_even: Floats,
+    target_odd: Floats,
+    weight: float,
+    linear: Floats,
+    steps: int,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[Floats, Floats]: ...
+def upsample_maps(
+    maps: Floats, following: int, source: _Spectral, target: _Spectral, progress: Callable[[float], object] | None = None
+) -> Floats: ...
+def spectral_point_maps(
+    map: Floats, source: _Spectral, target: _Spectral, progress: Callable[[float], object] | None = None
+) -> tuple[Ints, Ints]: ...
+def orthogonal_functional_map(forward: Ints, backward: Ints, modes: int, source: _Spectral, target: _Spectral) -> Floats: ...
+
+@final
+class Rigid:
+    def __new__(cls, weights: CsrArrays, rest: Floats) -> Rigid: ...
+    def fit(self, positions: Floats, stretch: float) -> tuple[Floats, float]: ...
 
 # operators
 def cotangent_operators(mesh: tuple[Floats, Ints], voronoi: bool) -> tuple[_CsrParts, Floats, float]: ...

@@ -24,6 +24,8 @@ __all__ = [
 ]
 
 
+_MANY = 10  # dimensions from which on a tree prunes nothing
+
 Places = npt.ArrayLike | PointCloud | TriangleMesh
 
 
@@ -67,8 +69,9 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
 
     Notes
     -----
-    A kd-tree with tight boxes, searched exactly: what is found is what comparing with every point finds, and the same bits on any
-    number of threads. "Equally near" compares squared distances as computed in double precision.
+    A kd-tree with tight boxes, searched exactly; for k = 1 in many dimensions, products of matrices and a second look at what
+    rounding leaves open. What is found is what comparing with every point finds, and the same bits on any number of threads.
+    "Equally near" compares squared distances as computed in double precision.
 
     Examples
     --------
@@ -79,7 +82,11 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
     """
     table = _points(points, "points")
     wanted = _queries(queries, "queries", table.shape[1])
-    return _core.nearest_neighbors(table, wanted, arrays.whole(k, "k", 1, max(len(table), 1)), reporter(progress, "neighbours"))
+    k = arrays.whole(k, "k", 1, max(len(table), 1))
+    if k == 1 and table.shape[1] >= _MANY and len(table):
+        indices, distances = _core.nearest_rows(table, wanted, reporter(progress, "neighbours"))
+        return indices[:, None], distances[:, None]
+    return _core.nearest_neighbors(table, wanted, k, reporter(progress, "neighbours"))
 
 
 def neighbors_within(
@@ -218,9 +225,7 @@ class RayHitsResult:
         return f"RayHitsResult({len(self.faces)} rays, {int((self.faces >= 0).sum())} hits)"
 
 
-def intersect_rays(
-    mesh: TriangleMesh, origins: npt.ArrayLike, directions: npt.ArrayLike, *, progress: Progress = None
-) -> RayHitsResult:
+def intersect_rays(mesh: TriangleMesh, origins: npt.ArrayLike, directions: npt.ArrayLike, *, progress: Progress = None) -> RayHitsResult:
     """The first point of a triangle mesh in R^3 that each ray meets.
 
     Parameters

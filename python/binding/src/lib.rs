@@ -12,6 +12,7 @@ mod local_mesh;
 mod mls;
 mod near;
 mod operators;
+mod register;
 mod run;
 mod sampling;
 mod shape;
@@ -42,9 +43,11 @@ mod _core {
     #[pymodule_export]
     use super::mls::moving_least_squares;
     #[pymodule_export]
-    use super::near::{closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals};
+    use super::near::{closest_points, intersect_rays, nearest_neighbors, nearest_rows, neighbors_within, normals};
     #[pymodule_export]
     use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient, has_positive_weights};
+    #[pymodule_export]
+    use super::register::{Rigid, ascend_triple_products, orthogonal_functional_map, polar, spectral_point_maps, upsample_maps};
     #[pymodule_export]
     use super::sampling::{farthest_points, first_copies, poisson_disc};
     #[pymodule_export]

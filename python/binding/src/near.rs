@@ -32,6 +32,22 @@ pub fn nearest_neighbors<'py>(
     Ok((table_out(py, bytemuck::cast_vec(indices), wanted)?, table_out(py, distances, wanted)?))
 }
 
+/// Index and distance of the nearest point to each query, by matrix products.
+#[pyfunction]
+#[pyo3(signature = (points, queries, progress=None))]
+pub fn nearest_rows<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    queries: PyReadonlyArray2<'py, f64>,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyArray1<i32>>, Bound<'py, PyArray1<f64>>)> {
+    let (points, dimension) = table(&points)?;
+    let (queries, columns) = table(&queries)?;
+    same_dimension(py, dimension, columns)?;
+    let (indices, distances) = run::watched(py, progress, |control| near::nearest_rows(points, dimension, queries, control))?;
+    Ok((vector_out(py, bytemuck::cast_vec(indices)), vector_out(py, distances)))
+}
+
 /// List starts, indices and distances of the points within a radius of each query.
 #[pyfunction]
 #[pyo3(signature = (points, queries, radius, progress=None))]

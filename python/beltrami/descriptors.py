@@ -1,0 +1,183 @@
+"""What a shape's spectrum says about it and its points: the shape DNA, heat and wave kernel signatures."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from . import arrays
+from .arrays import Floats
+from .eigen import Eigenpairs, eigenpairs
+from .errors import InputError
+from .operators import Operators, operators
+from .progress import Progress
+from .shapes import PointCloud, Shape
+
+__all__ = ["hks", "shape_dna", "wks"]
+
+
+def _pairs(shape: Shape | Operators | Eigenpairs, k: int, progress: Progress) -> Eigenpairs:
+    """The first k eigenpairs, at most as many as there are."""
+    k = arrays.whole(k, "k", 2)
+    if isinstance(shape, Eigenpairs):
+        return Eigenpairs(shape.values[:k], shape.functions[:, :k], shape.residuals[:k], shape.iterations, shape.shape)
+    ops = operators(shape)
+    return eigenpairs(ops, min(k, int((ops.mass > 0).sum())), progress=progress)
+
+
+def _positive(pairs: Eigenpairs) -> tuple[Floats, Floats]:
+    """Eigenvalues, those that are 0 but for rounding as 0, and the functions."""
+    values = np.where(pairs.values < 1e-9 * pairs.values[-1], 0.0, pairs.values)
+    if not values.any():
+        raise InputError("all eigenvalues are 0; ask for more of them, k=")
+    return values, pairs.functions
+
+
+def hks(
+    shape: Shape | Operators | Eigenpairs, *, times: int | npt.ArrayLike = 16, k: int = 100, scaled: bool = True, progress: Progress = None
+) -> Floats:
+    """The heat kernel signature: how much of the heat put at a point is still there after some times.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud, Operators or Eigenpairs
+        Eigenpairs are used as they are (the first k).
+    times : int or (T,) array
+        Times, in units of length² ; or how many, spread evenly in the logarithm over what k eigenpairs can tell,
+        ``4 ln 10 / λ_k`` to ``4 ln 10 / λ_1`` (λ_1 the first above 0).
+    k : int
+        How many eigenpairs; fewer if the shape has no more.
+    scaled : bool
+        Whether each time is divided by the mean over the shape, so that all times count alike and units cancel. Otherwise 1 / area.
+    progress : callable or True, optional
+
+    Returns
+    -------
+    (n, T) array
+
+    Raises
+    ------
+    InputError
+        A time is not positive, or the eigenvalues are all 0.
+
+    References
+    ----------
+    Sun, Ovsjanikov and Guibas, A concise and provably informative multi-scale signature based on heat diffusion, 2009.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> signature = bt.hks(bt.shapes.sphere(3))     # every point of a sphere is like every other
+    >>> signature.shape, bool(abs(signature - 1).max() < 0.05)
+    ((642, 16), True)
+    """
+    pairs = _pairs(shape, k, progress)
+    values, functions = _positive(pairs)
+    if np.ndim(times) == 0:
+        count = arrays.whole(times, "times", 1)
+        first = values[values > 0]
+        span = np.geomspace(4 * np.log(10) / first[-1], 4 * np.log(10) / first[0], count)
+    else:
+        span = arrays.floats(times, "times", (None,))
+        if len(span) == 0 or span.min() <= 0:
+            raise InputError("times must be positive, at least one")
+    decay = np.exp(-np.minimum(np.multiply.outer(values, span), 745.0))
+    signature: Floats = functions**2 @ decay
+    if scaled:
+        signature /= decay.sum(0) / _area(functions)
+    return signature
+
+
+def _area(functions: Floats) -> float:
+    """Of the shape, from a first eigenfunction that is constant on each component."""
+    filled = functions[:, 0] != 0
+    return float(1 / np.mean(functions[filled, 0] ** 2)) if filled.any() else 1.0
+
+
+def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 100, progress: Progress = None) -> Floats:
+    """The wave kernel signature: how probable it is to meet a quantum particle of some energies at a point.
+
+    Energies are spread evenly in log λ; each one's eigenfunctions are weighted by a Gaussian of 7 spacings, normalized. Where the
+    heat kernel blurs, the wave kernel tells details apart.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud, Operators or Eigenpairs
+        Eigenpairs are used as they are (the first k).
+    energies : int
+        How many, at least 2.
+    k : int
+        How many eigenpairs; fewer if the shape has no more.
+    progress : callable or True, optional
+
+    Returns
+    -------
+    (n, energies) array
+        Times the area: without units, 1 on average.
+
+    Raises
+    ------
+    InputError
+        The eigenvalues are all 0.
+
+    References
+    ----------
+    Aubry, Schlickewei and Cremers, The wave kernel signature: a quantum mechanical approach to shape analysis, 2011.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> bt.wks(bt.shapes.sphere(3), energies=10).shape
+    (642, 10)
+    """
+    count = arrays.whole(energies, "energies", 2)
+    pairs = _pairs(shape, k, progress)
+    values, functions = _positive(pairs)
+    above = values > 0
+    logs = np.log(values[above])
+    width = max((logs[-1] - logs[0]) / count, 1e-12)
+    sigma = 7 * width
+    low, high = (logs[0] + 2 * sigma, logs[-1] - 2 * sigma) if logs[-1] - logs[0] > 4 * sigma else (logs[0], logs[-1])
+    levels = np.linspace(low, high, count)
+    weights = np.exp(-((levels[None, :] - logs[:, None]) ** 2) / (2 * sigma**2))
+    signature: Floats = functions[:, above] ** 2 @ (weights / weights.sum(0)) * _area(functions)
+    return signature
+
+
+def shape_dna(shape: Shape | Operators | Eigenpairs, *, k: int = 50, normalize: bool = True, progress: Progress = None) -> Floats:
+    """The shape DNA: the first k eigenvalues above the constant's, a fingerprint that no bending changes.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud, Operators or Eigenpairs
+    k : int
+        How many.
+    normalize : bool
+        Times the area (for dimension 2; its power 2 / d in general), so that size does not count.
+    progress : callable or True, optional
+
+    Returns
+    -------
+    (k,) array
+        Ascending; in 1 / length² if not normalized. Shorter where the shape has fewer points with mass.
+
+    References
+    ----------
+    Reuter, Wolter and Peinecke, Laplace-Beltrami spectra as "Shape-DNA" of surfaces and solids, 2006.
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> (bt.shape_dna(bt.shapes.sphere(4), k=8) / (4 * 3.14159265)).round(1)     # l (l + 1)
+    array([2., 2., 2., 6., 6., 6., 6., 6.])
+    """
+    pairs = _pairs(shape, arrays.whole(k, "k", 1) + 1, progress)
+    values: Floats = np.maximum(pairs.values[1:], 0.0)
+    if normalize:
+        dimension = pairs.shape.dimension if isinstance(pairs.shape, PointCloud) else 2
+        values = values * _total(pairs) ** (2 / dimension)
+    return values
+
+
+def _total(pairs: Eigenpairs) -> float:
+    return float(operators(pairs.shape).mass.sum()) if pairs.shape is not None else _area(pairs.functions)
