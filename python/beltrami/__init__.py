@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from . import examples, shapes
+from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
@@ -41,6 +42,7 @@ __all__ = [
     "Cancelled",
     "Cholesky",
     "ClosestPointsResult",
+    "ConformalRegistrationResult",
     "ConvergenceError",
     "DenoisingResult",
     "DependencyError",
@@ -61,6 +63,7 @@ __all__ = [
     "RayHitsResult",
     "RotationInvariantSlicedWassersteinResult",
     "SegmentationResult",
+    "SpectrumMatch",
     "SphericalHarmonics",
     "SphericalMapResult",
     "SurfaceMap",
@@ -68,6 +71,7 @@ __all__ = [
     "TriangleMesh",
     "__version__",
     "closest_points",
+    "conformal_eigenpairs",
     "contours",
     "denoise",
     "eigenpairs",
@@ -79,6 +83,7 @@ __all__ = [
     "hks",
     "intersect_rays",
     "load",
+    "match_spectrum",
     "nearest_neighbors",
     "neighbors_within",
     "normals",
@@ -87,6 +92,7 @@ __all__ = [
     "plot",
     "point_map_of",
     "poisson_disc",
+    "register_conformal",
     "rotation_invariant_sliced_wasserstein",
     "save",
     "segment",

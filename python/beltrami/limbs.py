@@ -1,0 +1,325 @@
+"""Correspondence of two closed surfaces of genus 0 through their spherical conformal maps.
+
+A conformal map takes whatever protrudes (a finger, a leg) to a spot that is smaller by orders of magnitude, and two spherical maps of one
+surface differ by a Möbius map. So everything here is measured in logarithms and in quantities that no Möbius map changes: for
+landmarks a_i, depth towards a_i (differences of log |x - a_i|) and angle around a_i (arguments of cross-ratios). On a limb that ends in
+a_i these are the coordinates of a cylinder: along it and around it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sparse
+from scipy.sparse.csgraph import dijkstra
+
+from .arrays import Floats
+from .conformal import SphericalMapResult
+from .moebius import Moebius
+from .near import nearest_neighbors
+from .operators import Operators
+from .sampling import farthest_points
+
+Indices = npt.NDArray[np.int64]
+Complex = npt.NDArray[np.complex128]
+
+DEEPEST = 35.0  # depths beyond it are below rounding: exp(-35) is 6e-16 of the sphere
+PROTRUDES = 1.5  # depth, in e-foldings of the map's scale, from which something that protrudes counts as a limb
+LEAST_LIMB = 2e-3  # share of the area from which it does
+SAME_PLACE = 0.6  # distance of features below which two tips cannot be told apart
+CLEAR = 0.6  # a pair of tips must be nearer by this factor than any other choice
+NEAR_LANDMARK = 0.06  # share of sqrt(area): a tip nearer than this to a landmark says nothing new
+
+
+def nearest_rows(table: Floats, queries: Floats) -> Indices:
+    """For each query the row of the table that is nearest."""
+    found: Indices = nearest_neighbors(table, queries, 1)[0][:, 0].astype(np.int64)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """One of the two shapes, scaled to unit area, with its map to the sphere where it has one."""
+
+    operators: Operators
+    points: Floats = field(init=False)
+    mass: Floats = field(init=False)
+    unit: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        area = float(self.operators.mass.sum())
+        unit = np.sqrt(area)
+        places = self.operators.coordinates
+        object.__setattr__(self, "unit", unit)
+        object.__setattr__(self, "mass", self.operators.mass / area)
+        object.__setattr__(self, "points", (places - places.mean(0)) / unit)
+
+    @property
+    def stiffness(self) -> sparse.csr_array:
+        return self.operators.stiffness
+
+    @cached_property
+    def graph(self) -> sparse.csr_array:
+        """Lengths of the edges."""
+        pattern = self.stiffness.tocoo()
+        apart = pattern.row != pattern.col
+        i, j = pattern.row[apart], pattern.col[apart]
+        lengths = np.sqrt(((self.points[i] - self.points[j]) ** 2).sum(1))
+        n = len(self.points)
+        return sparse.csr_array((np.maximum(lengths, 1e-300), (i, j)), shape=(n, n))
+
+    def distances(self, sources: Indices) -> Floats:
+        """(sources, n): along the edges."""
+        found: Floats = np.atleast_2d(dijkstra(self.graph, directed=False, indices=np.asarray(sources)))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Sphered:
+    """A surface on the sphere."""
+
+    surface: Surface
+    sphere: Floats
+    log_scale: Floats
+    up: Complex
+    down: Complex
+
+    @classmethod
+    def of(cls, surface: Surface, result: SphericalMapResult, *, mirrored: bool = False) -> Sphered:
+        p = result.positions * [1.0, -1.0, 1.0] if mirrored else result.positions
+        # Homogeneous coordinates of the stereographic projection, in whichever of two forms has no cancellation.
+        upper, planar = p[:, 2] > 0, p[:, 0] + 1j * p[:, 1]
+        up, down = np.where(upper, 1 + p[:, 2], planar), np.where(upper, planar.conj(), 1 - p[:, 2])
+        size = np.sqrt(np.abs(up) ** 2 + np.abs(down) ** 2)
+        scale = 0.5 * np.log(np.maximum(result.conformal_factor, 1e-300) * surface.unit**2)
+        return cls(surface, p, scale, up / size, down / size)
+
+    def log_chords(self, to: Indices) -> Floats:
+        """(n, k): log |x - a_i|."""
+        apart = [np.sqrt(((self.sphere - self.sphere[i]) ** 2).sum(1)) for i in to]
+        found: Floats = np.log(np.maximum(np.stack(apart, axis=1), 1e-17))
+        return found
+
+    def bracket(self, i: int) -> Complex:
+        """Homogeneous difference from vertex i: cross-ratios are made of them."""
+        found: Complex = self.up * self.down[i] - self.down * self.up[i]
+        return found
+
+    @cached_property
+    def tips(self) -> list[int]:
+        """Ends of all that protrudes, deepest first: minima of the map's scale, by persistence."""
+        graph, scale, mass = self.surface.stiffness, self.log_scale, self.surface.mass
+        n = len(scale)
+        starts, neighbours, height = graph.indptr.tolist(), graph.indices.tolist(), scale.tolist()
+        parent = [-1] * n
+        weight = mass.tolist()
+        found: list[tuple[float, int]] = []
+
+        def root(i: int) -> int:
+            while parent[i] != i:
+                parent[i] = parent[parent[i]]
+                i = parent[i]
+            return i
+
+        order = np.argsort(scale, kind="stable").tolist()
+        for v in order:
+            around = {root(u) for u in neighbours[starts[v] : starts[v + 1]] if u != v and parent[u] >= 0}
+            parent[v] = v
+            if not around:
+                continue
+            first, *others = sorted(around, key=lambda r: (height[r], r))
+            parent[v] = first
+            weight[first] += weight[v]
+            for other in others:
+                depth = height[v] - height[other]
+                if depth > PROTRUDES and weight[other] > LEAST_LIMB:
+                    found.append((-depth, other))
+                parent[other] = first
+                weight[first] += weight[other]
+        if height[order[-1]] - height[order[0]] > PROTRUDES:
+            found.append((height[order[0]] - height[order[-1]], order[0]))
+        return [v for _, v in sorted(found)]
+
+
+# --- features that no Möbius map changes --------------------------------------------------------------------------------------------
+
+
+def _offsets(a: Sphered, b: Sphered, marks: Indices) -> tuple[Floats, Floats]:
+    """u with log|a_i - a_j| - log|b_i - b_j| = u_i + u_j as well as can be, and what is left (k, k): zero for conformal pairs."""
+    i, j = np.triu_indices(len(marks), 1)
+    differences = a.log_chords(marks[:, 0])[marks[:, 0]] - b.log_chords(marks[:, 1])[marks[:, 1]]
+    rows = np.zeros((len(i), len(marks)))
+    rows[np.arange(len(i)), i] = rows[np.arange(len(i)), j] = 1.0
+    u = np.asarray(np.linalg.lstsq(rows, differences[i, j], rcond=None)[0], np.float64)
+    left: Floats = differences - u[:, None] - u[None]
+    np.fill_diagonal(left, 0.0)
+    return u, left
+
+
+def misfit(a: Sphered, b: Sphered, marks: Indices) -> float:
+    """Root mean square by which the cross-ratios of the landmarks differ, in logarithms: 0 for conformal pairs."""
+    left = _offsets(a, b, marks)[1]
+    pairs = len(marks) * (len(marks) - 1)
+    return float(np.sqrt((left**2).sum() / pairs)) if pairs else 0.0
+
+
+def _misfit_of(a: Sphered, b: Sphered, marks: Indices, pair: tuple[int, int]) -> float:
+    """How badly one more pair fits those that are there."""
+    u, _ = _offsets(a, b, marks)
+    new = a.log_chords(marks[:, 0])[pair[0]] - b.log_chords(marks[:, 1])[pair[1]]
+    return float(np.std(new - u))
+
+
+def features(a: Sphered, b: Sphered, marks: Indices, deepest: float = DEEPEST) -> tuple[Floats, Floats]:
+    """Depth towards each of k >= 3 landmarks (columns 0 to k - 1) and direction around it (2 k columns), for both surfaces."""
+    k = len(marks)
+    u, _ = _offsets(a, b, marks)
+    depths = []
+    for side, own, shift in ((a, marks[:, 0], u - u.mean()), (b, marks[:, 1], np.zeros(k))):
+        chords = side.log_chords(own)
+        depths.append(np.clip(chords.mean(1, keepdims=True) - chords + shift, -deepest, deepest))
+    between = ((a.sphere[marks[:, 0], None] - a.sphere[None, marks[:, 0]]) ** 2).sum(2)
+    angles: tuple[list[Floats], list[Floats]] = ([], [])
+    for i in range(k):
+        far = int(np.argmax(between[i]))
+        others = [q for q in range(k) if q not in (i, far)]
+        turns = []
+        for side, own in ((a, marks[:, 0]), (b, marks[:, 1])):
+            turn = side.bracket(own[i]) * side.bracket(own[far]).conj()
+            turns.append(turn / np.maximum(np.abs(turn), 1e-300))
+        # The angle at which both count as turned alike: the circular mean over the other landmarks.
+        against = (turns[0][marks[others, 0]] * turns[1][marks[others, 1]].conj()).sum()
+        turns[1] = turns[1] * (against / max(abs(against), 1e-300))
+        for turn, columns in zip(turns, angles, strict=True):
+            columns += [turn.real, turn.imag]
+    return np.column_stack([depths[0], *angles[0]]), np.column_stack([depths[1], *angles[1]])
+
+
+def paired_tips(a: Sphered, b: Sphered, marks: Indices) -> Indices:
+    """The landmarks, and pairs of tips that the landmarks leave no doubt about; the surest first, and each helps to find the next."""
+    limit = max(2 * misfit(a, b, marks), 0.5)
+    while True:
+        first, second = features(a, b, marks, 12.0)
+        free = []
+        for side, own, table in ((a, marks[:, 0], first), (b, marks[:, 1], second)):
+            near = side.surface.distances(own).min(0)
+            kept: list[int] = []
+            for v in side.tips:
+                if near[v] >= NEAR_LANDMARK and all(np.linalg.norm(table[v] - table[w]) > SAME_PLACE for w in kept):
+                    kept.append(v)
+            free.append(kept)
+        if not free[0] or not free[1]:
+            return marks
+        apart = np.sqrt(((first[free[0]][:, None] - second[free[1]][None]) ** 2).sum(2))
+        best: tuple[float, int, int] | None = None
+        for i, row in enumerate(apart):
+            j = int(np.argmin(row))
+            others = np.concatenate([np.delete(row, j), np.delete(apart[:, j], i)])
+            if (others * CLEAR <= row[j]).any() or row[j] > 3.0 or (best is not None and row[j] >= best[0]):
+                continue
+            if _misfit_of(a, b, marks, (free[0][i], free[1][j])) < limit:
+                best = (float(row[j]), free[0][i], free[1][j])
+        if best is None:
+            return marks
+        marks = np.concatenate([marks, [best[1:]]])
+
+
+def stretched(a: Sphered, b: Sphered, marks: Indices, first: Floats, second: Floats) -> Floats:
+    """The features of b with the depth along each limb stretched: what lies at a certain share of the way from the middle of the body
+    (depth 0) to the tip, by geodesic distance, comes to the depth at which that share lies on a. No conformal map does that; two
+    limbs of different slenderness need it."""
+    out = second.copy()
+    ways = (a.surface.distances(marks[:, 0]), b.surface.distances(marks[:, 1]))
+    for i in range(len(marks)):
+        profiles = []
+        for side, table, way in ((a, first, ways[0]), (b, second, ways[1])):
+            depth = table[:, i]
+            grid = np.arange(0.0, np.partition(depth, -2)[-2] + 0.25, 0.25)
+            kernel = np.exp(-0.5 * ((grid[:, None] - depth[None]) / 0.3) ** 2) * side.surface.mass
+            total = kernel.sum(1)
+            seen = total > 1e-12
+            mean = np.minimum.accumulate((kernel[seen] @ way[i]) / total[seen])
+            profiles.append((grid[seen], mean / max(mean[0], 1e-300)) if len(mean) else (grid[:0], mean))
+        (grid_a, share_a), (grid_b, share_b) = profiles
+        if len(grid_a) < 2 or len(grid_b) < 2:
+            continue
+        depth = second[:, i]
+        along = depth > 0
+        moved = np.interp(-np.interp(depth[along], grid_b, share_b), -share_a, grid_a)
+        beyond = depth[along] > grid_b[-1]
+        out[along, i] = np.minimum(np.where(beyond, depth[along] - grid_b[-1] + grid_a[-1], moved), DEEPEST)
+    return out
+
+
+# --- the first three landmarks ------------------------------------------------------------------------------------------------------
+
+
+def robust_moebius(a: Sphered, b: Sphered, pairs: Indices, rng: np.random.Generator, *, trials: int = 400) -> Moebius | None:
+    """The Möbius map from a's sphere to b's on which most of the pairs agree (random sample consensus, then all that agree)."""
+    if len(pairs) < 3:
+        return None
+    p, q = a.sphere[pairs[:, 0]], b.sphere[pairs[:, 1]]
+    best, most = None, -1.0
+    for _ in range(trials):
+        picked = rng.choice(len(pairs), 3, replace=False)
+        try:
+            map_ = Moebius.through(p[picked], q[picked])
+        except ValueError:
+            continue
+        agreement = float(np.exp(-((map_(p) - q) ** 2).sum(1) / 0.1**2).sum())
+        if agreement > most:
+            best, most = map_, agreement
+    return best
+
+
+def guessed_marks(a: Sphered, b: Sphered, marks: Indices, most: int = 6) -> list[Indices]:
+    """Fewer than three landmarks, completed by pairs of tips to three: the choices on which the other tips agree best."""
+    missing = 3 - len(marks)
+    tips = []
+    for side, own in ((a, marks[:, 0]), (b, marks[:, 1])):
+        near = side.surface.distances(own).min(0) if len(own) else np.full(len(side.sphere), np.inf)
+        kept: list[int] = []
+        for v in side.tips:
+            if near[v] >= NEAR_LANDMARK and all(((side.sphere[v] - side.sphere[w]) ** 2).sum() > 0.01 for w in kept):
+                kept.append(v)
+        tips.append(kept[:7])
+    if min(len(t) for t in tips) < missing:
+        return []
+    scored = []
+    chosen = tips[0][:missing]
+    for others in itertools.permutations(tips[1], missing):
+        three = np.concatenate([marks, np.stack([chosen, others], axis=1)]).astype(np.int64)
+        try:
+            map_ = Moebius.through(a.sphere[three[:, 0]], b.sphere[three[:, 1]])
+        except ValueError:
+            continue
+        moved = map_(a.sphere[tips[0]])
+        apart = ((moved[:, None] - b.sphere[tips[1]][None]) ** 2).sum(2)
+        scored.append((float(np.minimum(apart.min(1), 0.25).sum() + np.minimum(apart.min(0), 0.25).sum()), three))
+    scored.sort(key=lambda one: one[0])
+    return [three for _, three in scored[:most]]
+
+
+def distinct(pairs: Indices) -> Indices:
+    """Pairs without those that name a vertex again."""
+    kept: list[int] = []
+    first: set[int] = set()
+    second: set[int] = set()
+    for row, (i, j) in enumerate(pairs.tolist()):
+        if i not in first and j not in second:
+            kept.append(row)
+            first.add(i)
+            second.add(j)
+    return pairs[kept]
+
+
+def agreeing_pairs(a: Sphered, b: Sphered, moebius: Moebius, pairs: Indices, count: int = 12) -> Indices:
+    """Of the pairs on which the Möbius map agrees, some that lie apart."""
+    agree = pairs[((moebius(a.sphere[pairs[:, 0]]) - b.sphere[pairs[:, 1]]) ** 2).sum(1) < 0.05**2]
+    if len(agree) <= count:
+        return distinct(agree)
+    return distinct(agree[np.asarray(farthest_points(a.surface.points[agree[:, 0]], count))])
