@@ -1,6 +1,7 @@
 //! Solving with a stiffness matrix whose kernel holds the constants of each component.
 
 use super::cholesky::{Cholesky, Scratch};
+use super::multilevel::Multilevel;
 use crate::control::Control;
 use crate::error::{Error, Result};
 use crate::sparse::Csr;
@@ -15,16 +16,31 @@ use crate::sparse::Csr;
 /// use beltrami::{Control, Csr, solvers::LaplacianSolver};
 /// let l = Csr::new(2, 2, vec![0, 2, 4], vec![0, 1, 0, 1], vec![1.0, -1.0, -1.0, 1.0])?;
 /// let solver = LaplacianSolver::new(&l, &[1.0, 1.0], None, &Control::default())?;
-/// let u = solver.solve(&[1.0, -1.0], 1)?;
+/// let u = solver.solve(&[1.0, -1.0], 1, &Control::default())?;
 /// assert!((u[0] - 0.5).abs() < 1e-15 && (u[1] + 0.5).abs() < 1e-15);
 /// # Ok::<(), beltrami::Error>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct LaplacianSolver {
-    factor: Cholesky,
+    engine: Engine,
     labels: Vec<u32>,
     mass: Vec<f64>,
     totals: Vec<f64>,
+}
+
+#[derive(Debug, Clone)]
+enum Engine {
+    Direct(Cholesky),
+    Multilevel(Multilevel, f64),
+}
+
+/// How a [`LaplacianSolver`] solves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Method {
+    /// By a Cholesky factor.
+    Direct,
+    /// By multilevel iterations down to this relative residual: a fraction of the memory.
+    Multilevel(f64),
 }
 
 impl LaplacianSolver {
@@ -34,6 +50,20 @@ impl LaplacianSolver {
     /// [`Error::Input`] if a mass is negative, sizes do not fit, or a row does not add up to zero; [`Error::Numerical`] if the
     /// matrix is not positive semidefinite; [`Error::Cancelled`] on request.
     pub fn new(stiffness: &Csr, mass: &[f64], coordinates: Option<(&[f64], usize)>, control: &Control) -> Result<Self> {
+        Self::with_method(stiffness, mass, coordinates, Method::Direct, control)
+    }
+
+    /// The same with a choice of how it solves; the coordinates serve the direct method only.
+    ///
+    /// # Errors
+    /// As [`LaplacianSolver::new`].
+    pub fn with_method(
+        stiffness: &Csr,
+        mass: &[f64],
+        coordinates: Option<(&[f64], usize)>,
+        method: Method,
+        control: &Control,
+    ) -> Result<Self> {
         let n = stiffness.rows();
         if stiffness.columns() != n || mass.len() != n {
             return Err(Error::input(format!(
@@ -55,10 +85,14 @@ impl LaplacianSolver {
             }
         }
         let (labels, pins) = components(stiffness)?;
-        let factor = Cholesky::new(&grounded(stiffness, &pins), coordinates, control)?;
+        let grounded = grounded(stiffness, &pins);
+        let engine = match method {
+            Method::Direct => Engine::Direct(Cholesky::new(&grounded, coordinates, control)?),
+            Method::Multilevel(tolerance) => Engine::Multilevel(Multilevel::new(grounded, control)?, tolerance),
+        };
         let mut totals = vec![0.0; pins.len()];
         labels.iter().zip(mass).for_each(|(&label, mass)| totals[label as usize] += mass);
-        Ok(LaplacianSolver { factor, labels, mass: mass.to_vec(), totals })
+        Ok(LaplacianSolver { engine, labels, mass: mass.to_vec(), totals })
     }
 
     /// Number of components.
@@ -74,15 +108,24 @@ impl LaplacianSolver {
     /// Solves for `width` right-hand sides side by side, each made compatible first.
     ///
     /// # Errors
-    /// As [`Cholesky::solve`].
-    pub fn solve(&self, b: &[f64], width: usize) -> Result<Vec<f64>> {
+    /// As [`Cholesky::solve`] or [`Multilevel::solve`].
+    pub fn solve(&self, b: &[f64], width: usize, control: &Control) -> Result<Vec<f64>> {
         let mut right = b.to_vec();
         if Some(b.len()) == self.labels.len().checked_mul(width) && width > 0 {
             let excess = self.sums(&right, width, |_| 1.0);
             self.take(&mut right, width, &excess, |mass| mass);
         }
         let mut out = vec![0.0; b.len()];
-        self.factor.solve_block_into(&right, width, &mut out, &mut Scratch::refining())?;
+        match &self.engine {
+            Engine::Direct(factor) => factor.solve_block_into(&right, width, &mut out, &mut Scratch::refining())?,
+            Engine::Multilevel(solver, tolerance) => {
+                for column in 0..width {
+                    let one: Vec<f64> = right.iter().skip(column).step_by(width).copied().collect();
+                    let (found, _) = solver.solve(&one, *tolerance, control)?;
+                    out.iter_mut().skip(column).step_by(width).zip(found).for_each(|(out, found)| *out = found);
+                }
+            }
+        }
         if width > 0 {
             let means = self.sums(&out, width, |mass| mass);
             self.take(&mut out, width, &means, |_| 1.0);
@@ -101,7 +144,7 @@ impl LaplacianSolver {
     ///
     /// # Errors
     /// [`Error::Input`] naming the component; else as [`LaplacianSolver::solve`].
-    pub fn solve_compatible(&self, b: &[f64], width: usize, tolerance: f64) -> Result<Vec<f64>> {
+    pub fn solve_compatible(&self, b: &[f64], width: usize, tolerance: f64, control: &Control) -> Result<Vec<f64>> {
         if Some(b.len()) == self.labels.len().checked_mul(width) && width > 0 {
             let sums = self.sums(b, width, |_| 1.0);
             let sizes: Vec<f64> = b.iter().map(|number| number.abs()).collect();
@@ -116,7 +159,7 @@ impl LaplacianSolver {
                 )));
             }
         }
-        self.solve(b, width)
+        self.solve(b, width, control)
     }
 
     /// Sums over each component: `sums[component * width + k]`.

@@ -1,15 +1,17 @@
-//! Solvers: sparse Cholesky and eigenpairs. They know matrices, never meshes.
+//! Solvers: sparse Cholesky, multilevel iterations and eigenpairs. They know matrices, never meshes.
 
 mod cholesky;
 mod dense;
 mod eigen;
 mod indefinite;
 mod laplacian;
+mod multilevel;
 mod ordering;
 mod sweep;
 mod symbolic;
 
 pub use cholesky::{Cholesky, Scratch};
 pub use eigen::{EigenOptions, Eigenpairs, Mass, eigenpairs};
-pub use laplacian::LaplacianSolver;
+pub use laplacian::{LaplacianSolver, Method};
+pub use multilevel::Multilevel;
 pub use symbolic::Symbolic;
