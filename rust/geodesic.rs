@@ -207,7 +207,7 @@ impl HeatMethod {
             Cholesky::with_symbolic(&symbolic, &apart(&whole, &fixed)?, control)?.solve(&flux)?
         } else {
             // one source leaves only a constant to find, on each component
-            let mut distance = self.poisson.solve(&flux, 1)?;
+            let mut distance = self.poisson.solve(&flux, 1, control)?;
             let mut starts = vec![0.0; counts.len()];
             sources.iter().for_each(|&source| starts[labels[source] as usize] = distance[source]);
             distance.iter_mut().zip(labels).for_each(|(distance, &label)| *distance -= starts[label as usize]);

@@ -82,9 +82,9 @@ fn agreement(map: &[f64], n: usize, a: &[f64], b: &[f64], work: &mut [Vec<f64>; 
     gradient.iter().zip(map).map(|(g, c)| g * c).sum()
 }
 
-/// Steps `C <- polar(gradient of S + C / 2)` for several maps, `S = <source.even, C target.even> + weight <source.odd, C target.odd>
-/// + <linear, C>` with C on all three indices of a triple product; `linear` (n x n) is what features say of C. Returns the maps and
-/// for each the three inner products at the end.
+/// Steps `C <- polar(gradient of S + C / 2)` for several maps, where S is `<source.even, C target.even>`, plus `weight` times
+/// `<source.odd, C target.odd>`, plus `<linear, C>`; C acts on all three indices of a triple product, `linear` (n x n) is what
+/// features say of it. Returns the maps, and for each the three inner products at the end.
 ///
 /// # Errors
 /// [`Error::Input`] if lengths do not fit or a number is not finite; [`Error::Cancelled`].

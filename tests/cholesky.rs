@@ -1,6 +1,6 @@
 //! Sparse Cholesky: closed forms, dense matrices, hostile patterns, the same bits on any number of threads, every documented error.
 
-use beltrami::solvers::{Cholesky, LaplacianSolver, Scratch, Symbolic};
+use beltrami::solvers::{Cholesky, LaplacianSolver, Multilevel, Scratch, Symbolic};
 use beltrami::{Control, Csr, Error};
 use proptest::prelude::*;
 
@@ -297,7 +297,7 @@ fn singular_laplacians() {
     assert_eq!(solver.components(), 3);
     let parts = [0..n, n..n + m, n + m..n + m + 1];
     let raw = noise(2 * (n + m + 1));
-    let x = solver.solve(&raw, 2).unwrap();
+    let x = solver.solve(&raw, 2, &Control::default()).unwrap();
     let lx = l.multiply_block(&x, 2).unwrap();
     for k in 0..2 {
         for part in parts.clone() {
@@ -311,8 +311,8 @@ fn singular_laplacians() {
             }
         }
     }
-    assert!(matches!(solver.solve_compatible(&raw, 2, 1e-9), Err(Error::Input(text)) if text.contains("component 0")));
-    assert!(solver.solve_compatible(&lx, 2, 1e-9).is_ok());
+    assert!(matches!(solver.solve_compatible(&raw, 2, 1e-9, &Control::default()), Err(Error::Input(text)) if text.contains("component 0")));
+    assert!(solver.solve_compatible(&lx, 2, 1e-9, &Control::default()).is_ok());
     assert!(
         matches!(LaplacianSolver::new(&grid(&[4, 4]).0, &[1.0; 16], None, &Control::default()), Err(Error::Input(text)) if text.contains("row 0"))
     );
@@ -356,4 +356,26 @@ proptest! {
             prop_assert!((x - wanted).abs() < 1e-9); // condition at most about 2e3
         }
     }
+}
+
+#[test]
+fn multilevel_iterations_give_what_the_factor_gives() {
+    let sides = [320, 250];
+    let (mut a, coordinates) = grid(&sides);
+    let n = a.rows();
+    a = a.combine(1.0, &Csr::from_diagonal(&vec![1e-3; n]), 1.0).unwrap();
+    let b: Vec<f64> = (0..n).map(|row| ((row * 7919) % 1013) as f64 - 500.0).collect();
+    let exact = Cholesky::new(&a, Some((&coordinates, 2)), &Control::default()).unwrap().solve(&b).unwrap();
+    let solver = Multilevel::new(a, &Control::default()).unwrap();
+    let (x, residual) = solver.solve(&b, 1e-12, &Control::default()).unwrap();
+    assert!(residual <= 1e-12, "{residual:e}");
+    let largest = exact.iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
+    let error = x.iter().zip(&exact).fold(0.0, |error: f64, (x, exact)| error.max((x - exact).abs()));
+    assert!(error < 1e-9 * largest, "{error:e} of {largest:e}");
+    let (scaled, _) = solver.solve(&b.iter().map(|b| 1e200 * b).collect::<Vec<_>>(), 1e-12, &Control::default()).unwrap();
+    assert!(scaled.iter().zip(&x).all(|(scaled, x)| (scaled / 1e200 - x).abs() <= 1e-9 * largest));
+    assert!(matches!(solver.solve(&b[1..], 1e-12, &Control::default()), Err(Error::Input(_))));
+    let stopped = Control::default();
+    stopped.stop();
+    assert_eq!(solver.solve(&b, 1e-12, &stopped), Err(Error::Cancelled));
 }

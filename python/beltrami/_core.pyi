@@ -205,7 +205,12 @@ class HeatMethod:
 @final
 class LaplacianSolver:
     def __new__(
-        cls, stiffness: CsrArrays, mass: Floats, coordinates: Floats, progress: Callable[[float], object] | None
+        cls,
+        stiffness: CsrArrays,
+        mass: Floats,
+        coordinates: Floats,
+        residual: float | None,
+        progress: Callable[[float], object] | None,
     ) -> LaplacianSolver: ...
     def solve(self, b: Floats, tolerance: float | None) -> Floats: ...
 

@@ -107,7 +107,9 @@ impl Multilevel {
             let image = level.matrix.multiply(&direction)?;
             let step = along / dot(&direction, &image);
             if !(along > 0.0 && step.is_finite()) {
-                return Err(Error::numerical("the matrix is not positive definite, or too badly scaled for an iteration; factor it instead"));
+                return Err(Error::numerical(
+                    "the matrix is not positive definite, or too badly scaled for an iteration; factor it instead",
+                ));
             }
             add(&mut x, step, &direction);
             (old_rest, before) = (rest.clone(), along);
@@ -245,8 +247,7 @@ fn add(y: &mut [f64], a: f64, x: &[f64]) {
 }
 
 fn dot(x: &[f64], y: &[f64]) -> f64 {
-    let parts: Vec<f64> =
-        x.par_chunks(CHUNK).zip(y.par_chunks(CHUNK)).map(|(x, y)| x.iter().zip(y).map(|(x, y)| x * y).sum()).collect();
+    let parts: Vec<f64> = x.par_chunks(CHUNK).zip(y.par_chunks(CHUNK)).map(|(x, y)| x.iter().zip(y).map(|(x, y)| x * y).sum()).collect();
     parts.iter().sum()
 }
 

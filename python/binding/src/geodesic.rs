@@ -3,7 +3,7 @@
 use crate::convert::{CsrArrays, table, table_out, vector, vector_out};
 use crate::{error, run};
 use beltrami::geodesic::{self, HeatOperators};
-use beltrami::solvers;
+use beltrami::solvers::{self, Method};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
@@ -48,7 +48,7 @@ impl HeatMethod {
     }
 }
 
-/// Solves with a singular stiffness matrix.
+/// Solves with a singular stiffness matrix: directly, or by multilevel iterations down to a relative residual.
 #[pyclass(frozen, module = "beltrami._core")]
 pub struct LaplacianSolver(solvers::LaplacianSolver);
 
@@ -60,19 +60,23 @@ impl LaplacianSolver {
         stiffness: CsrArrays<'_>,
         mass: PyReadonlyArray1<'_, f64>,
         coordinates: PyReadonlyArray2<'_, f64>,
+        residual: Option<f64>,
         progress: Option<Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let (stiffness, mass, coordinates) = (stiffness.matrix()?, vector(&mass)?, table(&coordinates)?);
-        run::watched(py, progress.as_ref(), |control| solvers::LaplacianSolver::new(&stiffness, mass, Some(coordinates), control))
-            .map(LaplacianSolver)
+        let method = residual.map_or(Method::Direct, Method::Multilevel);
+        run::watched(py, progress.as_ref(), |control| {
+            solvers::LaplacianSolver::with_method(&stiffness, mass, Some(coordinates), method, control)
+        })
+        .map(LaplacianSolver)
     }
 
     /// Solves for (n, k) right-hand sides; with a tolerance, refuses those that are not compatible.
     fn solve<'py>(&self, py: Python<'py>, b: PyReadonlyArray2<'py, f64>, tolerance: Option<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let (numbers, width) = table(&b)?;
-        let found = run::watched(py, None, |_| match tolerance {
-            Some(tolerance) => self.0.solve_compatible(numbers, width, tolerance),
-            None => self.0.solve(numbers, width),
+        let found = run::watched(py, None, |control| match tolerance {
+            Some(tolerance) => self.0.solve_compatible(numbers, width, tolerance, control),
+            None => self.0.solve(numbers, width, control),
         })?;
         table_out(py, found, width)
     }
