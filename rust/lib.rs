@@ -13,6 +13,7 @@
 //! | [`sphere`] | inner loops of conformal maps to the sphere |
 //! | [`shrink`], [`levelset`] | total variation on simplices; contours of functions on meshes |
 //! | [`register`] | inner loops of near-isometric registration |
+//! | [`shrink`], [`levelset`], [`reeb`] | total variation on simplices; contours of functions on meshes; Reeb graphs |
 //! | [`view`] | pictures without a display |
 //!
 //! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
@@ -28,6 +29,7 @@ pub mod levelset;
 pub mod near;
 pub mod operators;
 pub mod register;
+pub mod reeb;
 pub mod shape;
 pub mod shrink;
 pub mod sliced;

@@ -30,6 +30,7 @@ from .operators import Operators, operators
 from .sampling import farthest_points, poisson_disc
 from .segment import DenoisingResult, SegmentationResult, contours, denoise, segment, segment_path
 from .shapes import PointCloud, TriangleMesh
+from .skeleton import SkeletonResult, skeleton
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 from .solvers import Cholesky, PoissonSolver, solve_poisson
 from .spherical import SphericalHarmonics, SurfaceMap
@@ -64,6 +65,7 @@ __all__ = [
     "RotationInvariantSlicedWassersteinResult",
     "SegmentationResult",
     "SpectrumMatch",
+    "SkeletonResult",
     "SphericalHarmonics",
     "SphericalMapResult",
     "SurfaceMap",
@@ -100,6 +102,7 @@ __all__ = [
     "set_num_threads",
     "shape_dna",
     "shapes",
+    "skeleton",
     "sliced_wasserstein",
     "solve_poisson",
     "spherical_map",
