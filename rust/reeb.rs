@@ -229,14 +229,7 @@ pub fn contour_graph(sliced: &Sliced<'_>, control: &Control) -> Result<ContourGr
 }
 
 /// Crossings of one cut on edges that share a vertex are one contour.
-fn join_at_vertices(
-    edges: &[[u32; 2]],
-    first: &[usize],
-    slab: &[u32],
-    count: usize,
-    forest: &mut Forest,
-    control: &Control,
-) -> Result<()> {
+fn join_at_vertices(edges: &[[u32; 2]], first: &[usize], slab: &[u32], count: usize, forest: &mut Forest, control: &Control) -> Result<()> {
     const NONE: u32 = u32::MAX;
     // One slot a vertex and cut that its edges reach: those below it, then those above.
     let mut reach: Vec<(u32, u32)> = slab.iter().map(|&at| (at, at)).collect();
@@ -351,14 +344,25 @@ mod tests {
         };
         let points: Vec<f64> = (0..count).flat_map(|vertex| mesh.vertex(vertex as u32).to_vec()).collect();
         let weights = vec![1.0; count];
-        let sliced = Sliced { points: &points, dimension: 3, cells: &cells, size, values, ranks: &ranks, cuts: &cuts, levels: &heights, weights: &weights };
+        let sliced = Sliced {
+            points: &points,
+            dimension: 3,
+            cells: &cells,
+            size,
+            values,
+            ranks: &ranks,
+            cuts: &cuts,
+            levels: &heights,
+            weights: &weights,
+        };
         contour_graph(&sliced, &Control::default()).unwrap()
     }
 
     #[test]
     fn a_torus_on_its_side_has_one_loop() {
         let mesh = make::torus([1.0, 0.3], 40, 60).unwrap();
-        let values: Vec<f64> = (0..mesh.vertex_count()).map(|vertex| mesh.vertex(vertex as u32)[0] + 1e-3 * mesh.vertex(vertex as u32)[1]).collect();
+        let values: Vec<f64> =
+            (0..mesh.vertex_count()).map(|vertex| mesh.vertex(vertex as u32)[0] + 1e-3 * mesh.vertex(vertex as u32)[1]).collect();
         for size in [2, 3] {
             let found = graph(&mesh, &values, size, 31);
             // a connected graph with contours for edges: b1 = contours - regions + 1

@@ -21,6 +21,7 @@ __all__ = [
     "check_mesh",
     "closest_points",
     "constrain",
+    "contour_graph",
     "cotangent_operators",
     "divergence",
     "eigenpairs",
@@ -264,6 +265,27 @@ def gradient(mesh: tuple[Floats, Ints]) -> _CsrParts: ...
 def divergence(mesh: tuple[Floats, Ints], mass: Floats) -> _CsrParts: ...
 def galerkin_mass(mesh: tuple[Floats, Ints]) -> _CsrParts: ...
 def has_positive_weights(stiffness: CsrArrays) -> bool: ...
+
+# reeb
+def contour_graph(
+    points: Floats,
+    cells: Ints,
+    values: Floats,
+    ranks: npt.NDArray[np.uint32],
+    cuts: npt.NDArray[np.uint32],
+    levels: Floats,
+    weights: Floats,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[
+    npt.NDArray[np.uint32],
+    npt.NDArray[np.uint32],
+    npt.NDArray[np.uint32],
+    Floats,
+    Floats,
+    npt.NDArray[np.int64],
+    npt.NDArray[np.uint32],
+    int,
+]: ...
 
 # sampling
 def first_copies(points: Floats) -> npt.NDArray[np.bool_]: ...

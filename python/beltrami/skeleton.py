@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -56,7 +57,7 @@ class _Complex:
 
     @property
     def is_mesh(self) -> bool:
-        return self.cells.shape[1] == 3
+        return bool(self.cells.shape[1] == 3)
 
 
 def _unique_edges(pairs: npt.NDArray[Any]) -> Ints:
@@ -120,7 +121,7 @@ def _denoised(points: Floats) -> tuple[Floats, Indices, int]:
     for _ in range(2):
         means, normals, _ = _plane_fits(points, moved, neighbors)
         moved = moved - normals * np.einsum("nd,nd->n", moved - means, normals)[:, None]
-    indices, distances = nearest_neighbors(moved, moved, 7)
+    _, distances = nearest_neighbors(moved, moved, 7)
     apart = np.sort(poisson_disc(moved, 0.4 * float(np.median(distances[:, 6]))))
     return np.ascontiguousarray(moved[apart]), kept[apart], neighbors
 
@@ -187,7 +188,7 @@ def _cloud_complex(cloud: PointCloud, notes: list[str], report: Any) -> _Complex
             normals, seam = _oriented(points)
             if seam > 0.005:
                 normals = None
-                notes.append(f"normals could not be oriented ({100 * seam:.1f} % of near points disagree): parts close to each other may join")
+                notes.append(f"normals could not be oriented ({100 * seam:.1f} % of neighbours disagree): near parts may join")
     for _ in range(5):
         ops = CloudOperators(PointCloud(points, dimension=cloud.dimension, normals=normals), "local_mesh", neighbors=None, progress=report)
         used = np.zeros(len(points), bool)
@@ -296,7 +297,9 @@ class _Branch:
 class _ReebGraph:
     """Contours and regions of one component, with what was merged; reduced to branches between joints."""
 
-    def __init__(self, complex_: _Complex, values: Floats, ranks: Indices, cuts: Indices, levels: Floats, arcs: Floats, report: Any) -> None:
+    def __init__(
+        self, complex_: _Complex, values: Floats, ranks: Indices, cuts: Indices, levels: Floats, arcs: Floats, report: Any
+    ) -> None:
         found = _core.contour_graph(
             np.ascontiguousarray(complex_.points),
             np.ascontiguousarray(complex_.cells, dtype=np.int32),
@@ -310,6 +313,7 @@ class _ReebGraph:
         cut, below, above, self.points, self.weights, self.starts, region, self.regions = found
         self.cut, self.below, self.above = (np.asarray(part, np.int64) for part in (cut, below, above))
         self.region = np.asarray(region, np.int64)
+        self.vertices, self.values = complex_.points, values
         self.arcs, self.levels = arcs, levels  # arc length along the function at each cut
         self.count = len(self.cut)
         self.owner = np.repeat(np.arange(self.count), np.diff(self.starts))
@@ -331,6 +335,9 @@ class _ReebGraph:
         reach = np.linalg.norm(self.points - self.centers[owner], axis=1)
         self.radii = np.bincount(owner, self.weights * reach, size) / self.length
         self.arc = self.arcs[self.group_cut]
+        regions = self.region_label[self.region]
+        self.members = np.argsort(regions, kind="stable")
+        self.bounds = np.searchsorted(regions[self.members], np.arange(self.regions + 1))
         up = np.bincount(self.group_below, minlength=self.regions)
         down = np.bincount(self.group_above, minlength=self.regions)
         regular = (up == 1) & (down == 1)
@@ -343,10 +350,15 @@ class _ReebGraph:
                 chain.append(int(following[self.group_above[chain[-1]]]))
             self.branches.append(_Branch(int(self.group_below[first]), int(self.group_above[chain[-1]]), chain))
 
-    def cycles(self) -> int:
-        joints = {joint for branch in self.branches for joint in (branch.low, branch.high)}
-        forest = _Forest(joints)
-        return sum(not forest.join(branch.low, branch.high) for branch in self.branches)
+    def tip(self, region: int, group: int) -> Floats:
+        """The point of a region that is farthest in value from the contour beside it."""
+        inside = self.members[self.bounds[region] : self.bounds[region + 1]]
+        if len(inside) == 0:
+            center: Floats = self.centers[group]
+            return center
+        away = np.abs(self.values[inside] - self.levels[self.group_cut[group]])
+        farthest: Floats = self.vertices[inside[int(away.argmax())]]
+        return farthest
 
     def heights(self) -> dict[int, float]:
         """Arc length at each joint: midway between the contours below and those above it."""
@@ -603,27 +615,32 @@ class _Simplified:
             if fallen:
                 self.stray.extend((group, first.groups[-1]) for group in fallen)
 
-    def prune(self, shortest: float) -> None:
-        """Cuts limbs that end and are short: less than ``shortest``, or less than ``LIMB`` times their radius at the root."""
+    def reach(self, limb: _Limb, end: int) -> tuple[float, float]:
+        """Length of a limb from its root to the tip at ``end``, and how many times farther the tip is than the root is wide."""
         graph = self.graph
+        groups = limb.groups if end == 1 else limb.groups[::-1]
+        x, root = graph.centers[groups], groups[0]
+        tip = graph.tip(limb.ends[end], groups[-1])
+        length = float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum() + np.linalg.norm(tip - x[-1]))
+        return length, float(np.linalg.norm(tip - x[0]) / max(graph.radii[root], 1e-300))
+
+    def prune(self, shortest: float) -> None:
+        """Cuts limbs that end, the shortest first: those below ``shortest``, and those less than ``LIMB`` times as long as wide."""
         while True:
             degree = self.degrees()
-            worst: tuple[float, int] | None = None
+            worst: tuple[float, float, int, int] | None = None
             for number, limb in enumerate(self.limbs):
                 if (degree[limb.ends[0]] == 1) == (degree[limb.ends[1]] == 1):
                     continue  # inner, or all there is
-                groups = limb.groups if degree[limb.ends[1]] == 1 else limb.groups[::-1]
-                root, tip = groups[0], groups[-1]
-                length = abs(float(graph.arc[root] - graph.arc[tip]))
-                ratio = float(np.linalg.norm(graph.centers[tip] - graph.centers[root]) / max(graph.radii[root], 1e-300))
-                if (length < shortest or ratio < LIMB) and (worst is None or ratio < worst[0]):
-                    worst = (ratio, number)
+                end = 0 if degree[limb.ends[0]] == 1 else 1
+                length, ratio = self.reach(limb, end)
+                if (length < shortest or ratio < LIMB) and (worst is None or length < worst[0]):
+                    worst = (length, ratio, number, end)
             if worst is None:
                 return
-            limb = self.limbs.pop(worst[1])
-            joint = limb.ends[0] if degree[limb.ends[1]] == 1 else limb.ends[1]
-            self.cut.append(worst[0])
-            self.fallen[joint] += limb.groups
+            limb = self.limbs.pop(worst[2])
+            self.cut.append(worst[1])
+            self.fallen[limb.ends[1 - worst[3]]] += limb.groups
             self.join()
 
     def contract(self) -> None:
@@ -631,9 +648,9 @@ class _Simplified:
         graph = self.graph
         while True:
             degree = self.degrees()
-            pairs = defaultdict(int)
+            pairs: dict[tuple[int, int], int] = defaultdict(int)
             for limb in self.limbs:
-                pairs[tuple(sorted(limb.ends))] += 1
+                pairs[min(limb.ends), max(limb.ends)] += 1
             shortest: tuple[float, int] | None = None
             for number, limb in enumerate(self.limbs):
                 a, b = limb.ends
@@ -742,10 +759,6 @@ def _draw(simple: _Simplified, spacing: float) -> _Drawing:
     return _Drawing(np.array(nodes), np.array(widths), chains, node_of_group)
 
 
-def _around(chain: list[int], position: int) -> list[int]:
-    return chain[max(0, position - 4) : position + 5]
-
-
 def _smooth(x: Floats, widths: Floats, closed: bool, factor: float) -> tuple[Floats, Floats]:
     """Positions and tangents of a polyline by local quadratic fits, Gaussian weights of ``factor`` times the radius."""
     count = len(x)
@@ -793,10 +806,8 @@ class _Section:
         u, v = _frames(tangents)
         directions = np.cos(self.turn)[None, :, None] * u[:, None] + np.sin(self.turn)[None, :, None] * v[:, None]
         if self.mesh is not None:
-            distances = self._rays(x, directions)
-        else:
-            distances = self._sectors(x, tangents, u, v, widths, limb)
-        return distances, u, v
+            return self._rays(x, directions), u, v
+        return self._sectors(x, tangents, u, v, widths, limb), u, v
 
     def _rays(self, x: Floats, directions: Floats) -> Floats:
         assert self.mesh is not None
@@ -834,14 +845,9 @@ class _Section:
 def _center(drawing: _Drawing, section: _Section | None, noisy: bool, rounds: int = 6) -> None:
     """Moves nodes to the middle of the sections across the skeleton, and joints to where their limbs point."""
     ends: dict[int, list[tuple[int, int]]] = defaultdict(list)
-    count = np.zeros(len(drawing.nodes), np.int64)
     for at, chain in enumerate(drawing.chains):
-        closed = len(chain) > 2 and chain[0] == chain[-1]
-        inner = chain[:-1] if closed else chain
-        count[inner] += 1
-        if not closed or True:
-            ends[chain[0]].append((at, 0))
-            ends[chain[-1]].append((at, 1))
+        ends[chain[0]].append((at, 0))
+        ends[chain[-1]].append((at, 1))
     joints = [node for node, limbs in ends.items() if len(limbs) > 2]
     fixed = np.zeros(len(drawing.nodes), bool)
     fixed[joints] = True
@@ -857,7 +863,7 @@ def _center(drawing: _Drawing, section: _Section | None, noisy: bool, rounds: in
                 continue
             start = smooth if noisy else x
             distances, u, v = section(start[free], tangents[free], widths[free], chain)
-            typical = np.nanmedian(np.where(np.isnan(distances).all(1)[:, None], 0.0, distances), axis=1)
+            typical = np.asarray(np.nanmedian(np.where(np.isnan(distances).all(1)[:, None], 0.0, distances), axis=1))
             share = np.isnan(distances).mean(1)
             good = (share < 0.4) & (typical > 0)
             bounded = np.minimum(distances, 2.2 * typical[:, None])
@@ -1003,7 +1009,7 @@ class SkeletonResult:
         Examples
         --------
         >>> import beltrami as bt
-        >>> [len(line) > 20 for line in bt.skeleton(bt.shapes.torus(1.0, 0.3, 24, 60)).polylines()]
+        >>> [len(line) > 20 for line in bt.skeleton(bt.shapes.torus()).polylines()]
         [True]
         """
         steps = arrays.whole(steps, "steps", 1)
@@ -1132,7 +1138,7 @@ def skeleton(
     function: npt.ArrayLike | Literal["eigenfunction", "geodesic"] | None = None,
     source: int | None = None,
     components: bool = True,
-    shortest_limb: float = 0.07,
+    shortest_limb: float = 0.04,
     remove_outliers: bool = False,
     progress: Progress = None,
 ) -> SkeletonResult:
@@ -1191,7 +1197,7 @@ def skeleton(
     Examples
     --------
     >>> import beltrami as bt
-    >>> bt.skeleton(bt.shapes.torus(1.0, 0.3, 24, 60)).cycles
+    >>> bt.skeleton(bt.shapes.torus()).cycles
     1
     """
     report = reporter(progress, "skeleton")
@@ -1219,10 +1225,9 @@ def skeleton(
         complex_ = _mesh_complex(operators(shape))
     labels = _pieces(complex_, components, notes)
     parts = []
-    names = [name for name in range(int(labels.max()) + 1)]
     function_out = np.zeros(count) if values is None else values
     eigenvalues = np.zeros(0)
-    for name in names:
+    for name in range(int(labels.max()) + 1):
         members = np.flatnonzero(labels == name)
         piece = complex_ if len(members) == len(labels) else _restricted(complex_, members)
         if values is None:
@@ -1231,7 +1236,8 @@ def skeleton(
                 eigenvalues = found
             copies = int((found <= MULTIPLE * found[0]).sum())
             if copies > 1:
-                notes.append(f"the first eigenvalue counts {copies} times (relative gap {found[copies - 1] / found[0] - 1:.1e}): the most even combination is taken")
+                gap = found[copies - 1] / found[0] - 1
+                notes.append(f"the first {copies} eigenvalues lie within {100 * gap:.1g} %: their most even combination is taken")
             function_out[piece.origin] = f
         else:
             f = np.ascontiguousarray(values[piece.origin])
@@ -1284,7 +1290,8 @@ def _pieces(complex_: _Complex, components: bool, notes: list[str]) -> Indices:
         raise TopologyError(f"the shape has {len(kept)} connected pieces; components=True makes a skeleton of each")
     rename = np.full(number, -1)
     rename[kept] = np.arange(len(kept))
-    return rename[labels]
+    pieces: Indices = rename[labels]
+    return pieces
 
 
 def _restricted(complex_: _Complex, members: Indices) -> _Complex:
@@ -1349,7 +1356,7 @@ def _descended(drawing: _Drawing, points: Floats, owners: Indices) -> Indices:
     size = len(drawing.nodes)
     around: list[set[int]] = [set() for _ in range(size)]
     for chain in drawing.chains:
-        for a, b in zip(chain[:-1], chain[1:], strict=True):
+        for a, b in itertools.pairwise(chain):
             around[a].add(b)
             around[b].add(a)
     width = max(map(len, around), default=0)

@@ -12,8 +12,8 @@ mod local_mesh;
 mod mls;
 mod near;
 mod operators;
-mod register;
 mod reeb;
+mod register;
 mod run;
 mod sampling;
 mod shape;
@@ -48,9 +48,9 @@ mod _core {
     #[pymodule_export]
     use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient, has_positive_weights};
     #[pymodule_export]
-    use super::register::{Rigid, ascend_triple_products, orthogonal_functional_map, polar, spectral_point_maps, upsample_maps};
-    #[pymodule_export]
     use super::reeb::contour_graph;
+    #[pymodule_export]
+    use super::register::{Rigid, ascend_triple_products, orthogonal_functional_map, polar, spectral_point_maps, upsample_maps};
     #[pymodule_export]
     use super::sampling::{farthest_points, first_copies, poisson_disc};
     #[pymodule_export]
