@@ -14,6 +14,7 @@
 //! | [`shrink`], [`levelset`] | total variation on simplices; contours of functions on meshes |
 //! | [`register`] | inner loops of near-isometric registration |
 //! | [`shrink`], [`levelset`], [`reeb`] | total variation on simplices; contours of functions on meshes; Reeb graphs |
+//! | [`transport`] | space-time projection, perspective steps and bounds of dynamic optimal transport |
 //! | [`view`] | pictures without a display |
 //!
 //! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
@@ -37,6 +38,7 @@ pub mod solvers;
 pub mod sparse;
 pub mod sphere;
 pub mod threads;
+pub mod transport;
 pub mod view;
 
 pub use control::Control;

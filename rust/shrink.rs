@@ -16,13 +16,13 @@ use rayon::prelude::*;
 #[derive(Debug, Clone)]
 pub struct Elements {
     nodes: usize,
-    corners: usize,
-    indices: Vec<u32>,
-    hats: Vec<f64>,
-    weights: Vec<f64>,
+    pub(crate) corners: usize,
+    pub(crate) indices: Vec<u32>,
+    pub(crate) hats: Vec<f64>,
+    pub(crate) weights: Vec<f64>,
     /// For each node, where its corners are in `indices`.
-    starts: Vec<usize>,
-    incidence: Vec<u32>,
+    pub(crate) starts: Vec<usize>,
+    pub(crate) incidence: Vec<u32>,
 }
 
 /// How a sweep shrinks.

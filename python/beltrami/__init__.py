@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from . import examples, shapes
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
+from . import costs, examples, shapes
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
@@ -22,6 +23,7 @@ from .errors import (
     TopologyError,
 )
 from .files import load, save
+from .games import MeanFieldGameResult, mean_field_game
 from .geodesic import HeatMethod, geodesic_distance
 from .maps import MapEvaluation, evaluate_map, functional_map_of, point_map_of, transfer
 from .moebius import Moebius
@@ -35,6 +37,7 @@ from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant
 from .solvers import Cholesky, PoissonSolver, solve_poisson
 from .spherical import SphericalHarmonics, SurfaceMap
 from .threads import num_threads, set_num_threads
+from .transport import Flow, TransportResult, transport
 from .view import Page, Picture, plot
 
 __version__ = "0.1.0"
@@ -50,10 +53,12 @@ __all__ = [
     "Eigenpairs",
     "Error",
     "FileError",
+    "Flow",
     "HeatMethod",
     "InputError",
     "InternalError",
     "MapEvaluation",
+    "MeanFieldGameResult",
     "Moebius",
     "NumericalError",
     "Operators",
@@ -70,11 +75,13 @@ __all__ = [
     "SphericalMapResult",
     "SurfaceMap",
     "TopologyError",
+    "TransportResult",
     "TriangleMesh",
     "__version__",
     "closest_points",
     "conformal_eigenpairs",
     "contours",
+    "costs",
     "denoise",
     "eigenpairs",
     "evaluate_map",
@@ -86,6 +93,7 @@ __all__ = [
     "intersect_rays",
     "load",
     "match_spectrum",
+    "mean_field_game",
     "nearest_neighbors",
     "neighbors_within",
     "normals",
@@ -108,4 +116,5 @@ __all__ = [
     "spherical_map",
     "transfer",
     "wks",
+    "transport",
 ]

@@ -18,6 +18,8 @@ __all__ = [
     "Rigid",
     "SlicedAlignment",
     "ascend_triple_products",
+    "SpaceTime",
+    "TransportDomain",
     "check_mesh",
     "closest_points",
     "constrain",
@@ -373,3 +375,39 @@ def excess_gradient(positions: Floats, faces: Ints, cotangents: Floats, weights:
 def moebius_translated(
     positions: Floats, center: tuple[float, float, float], weights: Floats
 ) -> tuple[Floats, tuple[float, float, float]]: ...
+
+class TransportDomain:
+    def __new__(cls, elements: Elements, mass: Floats, coordinates: Floats | None) -> TransportDomain: ...
+    def labels(self) -> npt.NDArray[np.uint32]: ...
+    def factor_size(self) -> int: ...
+    def gather(self, scalar: Floats, field: Floats, other: Floats, factor: float, mean: Floats, flux: Floats) -> None: ...
+    def densities(self, nodal: Floats, out: Floats) -> None: ...
+    def gradients(self, nodal: Floats, out: Floats) -> None: ...
+    def hamiltonian(self, potential: Floats, weights: Floats, power: float, out: Floats) -> None: ...
+    def step(
+        self,
+        steps: tuple[float, float, float, float],
+        weights: Floats,
+        before: Floats,
+        after: Floats,
+        potential: Floats,
+        momentum: Floats,
+        dual_density: Floats,
+        dual_momentum: Floats,
+    ) -> None: ...
+    def repairs(
+        self,
+        potential: Floats,
+        weights: Floats,
+        limit: Floats,
+        bounded: bool,
+        power: float,
+        ways: list[tuple[int, float, bool]],
+        out: Floats,
+    ) -> None: ...
+    def optimal_momentum(self, conductivity: Floats, rate: Floats, out: Floats) -> None: ...
+
+class SpaceTime:
+    def __new__(cls, domain: TransportDomain, intervals: int, free: bool, scale: float, memory: float) -> SpaceTime: ...
+    def factors(self) -> int: ...
+    def solve(self, right: Floats, out: Floats) -> None: ...

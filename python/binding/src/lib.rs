@@ -21,6 +21,7 @@ mod shrink;
 mod sliced;
 mod sphere;
 mod threads;
+mod transport;
 mod view;
 
 use pyo3::prelude::*;
@@ -66,6 +67,8 @@ mod _core {
     use super::sphere::{excess_gradient, moebius_translated};
     #[pymodule_export]
     use super::threads::{num_threads, set_num_threads};
+    #[pymodule_export]
+    use super::transport::{SpaceTime, TransportDomain};
     #[pymodule_export]
     use super::view::{paint, png, strokes};
 }

@@ -11,11 +11,11 @@ use std::sync::{Mutex, PoisonError};
 /// Simplices with weights and hat gradients.
 #[pyclass(frozen, module = "beltrami._core")]
 pub struct Elements {
-    elements: shrink::Elements,
+    pub elements: shrink::Elements,
     scratch: Mutex<shrink::Scratch>,
 }
 
-fn written<'a>(array: &'a mut PyReadwriteArray2<'_, f64>, py: Python<'_>) -> PyResult<&'a mut [f64]> {
+pub fn written<'a>(array: &'a mut PyReadwriteArray2<'_, f64>, py: Python<'_>) -> PyResult<&'a mut [f64]> {
     if !array.is_c_contiguous() {
         return Err(error::input(py, "a table handed to the core is not in C order"));
     }

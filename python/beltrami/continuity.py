@@ -1,0 +1,750 @@
+"""The machinery of dynamic transport: a shape in space and time, two iterations, and the bounds on both sides of their answer.
+
+Inside, everything is without units: the shape has unit area, densities are divided by their size where the mass is, lengths by the
+distance that mass travels (:class:`Scales`). Densities are (intervals + 1, n), potentials (intervals, n), momenta (intervals, m d) in
+a frame of each element."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+
+from . import _core
+from .arrays import Floats
+from .costs import Cost, Lagrangian
+from .errors import InputError
+from .operators import Operators, operators
+from .segment import _hats, _simplices
+from .shapes import Shape, TriangleMesh
+from .solvers import PoissonSolver
+
+NONNEGATIVE = 0.3  # κ: weight of the vertices' own block, which keeps the density from being negative and holds the costs
+RELAXATION = 1.8
+MEMORY = 2e9  # bytes of factors, by default
+REPAIRS = [(0, 1.0, False), (3, 1.0, False), (8, 0.5, False), (2, 1.0, True)]  # passes, share, dilated
+
+
+class Surface:
+    """Elements of a shape of unit area."""
+
+    def __init__(self, shape: Shape | Operators) -> None:
+        self.operators = ops = _operators(shape)
+        corners, sides, areas = _simplices(ops)
+        dimension = corners.shape[1] - 1
+        if dimension not in (1, 2, 3) or len(corners) == 0:
+            raise InputError("transport needs elements to move over: a mesh with triangles, or a cloud with laplacian='local_mesh'")
+        self.total = float(ops.mass.sum())
+        self.length = self.total ** (1 / dimension)
+        self.count, self.dimension = len(ops.mass), dimension
+        self.mass = ops.mass / self.total
+        self.corners, self.areas = corners, areas / self.total
+        self.hats, self.frames = _hats(sides / self.length)
+        self._domains: dict[float, _core.TransportDomain] = {}
+        self.labels = self.domain(1.0).labels().astype(np.int64)
+        self.components = int(self.labels.max()) + 1
+
+    def domain(self, unit: float) -> _core.TransportDomain:
+        """The core's elements, with lengths in ``unit`` times the root of the area."""
+        if unit not in self._domains:
+            elements = _core.Elements(self.count, self.corners, self.hats * unit, np.ascontiguousarray(self.areas))
+            kept = self._domains.get(1.0)
+            self._domains = {} if kept is None else {1.0: kept}
+            self._domains[unit] = _core.TransportDomain(elements, self.mass, self.operators.coordinates)
+        return self._domains[unit]
+
+    @cached_property
+    def poisson(self) -> PoissonSolver:
+        return PoissonSolver(self.operators)
+
+    @cached_property
+    def average(self) -> sparse.csr_array:
+        """Mean over a vertex and its neighbours."""
+        pattern = sparse.csr_array(abs(self.operators.stiffness) + sparse.diags_array(np.ones(self.count)))
+        pattern.data[:] = np.repeat(1 / np.diff(pattern.indptr), np.diff(pattern.indptr))
+        return pattern
+
+    def largest(self, values: Floats) -> Floats:
+        """The largest value on a vertex and its neighbours, of each slice (k, n)."""
+        pattern = self.average
+        return np.maximum.reduceat(values[:, pattern.indices], pattern.indptr[:-1], axis=1)
+
+    def sums(self, integrals: Floats) -> Floats:
+        """(k, n) -> (k, components)."""
+        if self.components == 1:
+            return integrals.sum(axis=1, keepdims=True)
+        return np.stack([np.bincount(self.labels, row, self.components) for row in integrals])
+
+    def with_mass(self, density: Floats, masses: Floats) -> Floats:
+        """Each slice scaled so that every component has its mass."""
+        now = self.sums(density * self.mass)
+        factors = np.divide(masses, now, out=np.zeros_like(now), where=now > 0)
+        return density * factors[:, self.labels]
+
+
+def _operators(shape: Shape | Operators) -> Operators:
+    """On a mesh its own triangles, whatever their angles, so that momenta live on them."""
+    if isinstance(shape, TriangleMesh):
+        try:
+            return operators(shape, laplacian="cotangent")
+        except InputError:
+            return operators(shape)
+    return operators(shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A density that moves, as the user gave it."""
+
+    surface: Surface
+    start: Floats
+    end: Floats | None
+    intervals: int
+    lagrangian: Lagrangian = field(default_factory=Lagrangian)
+    running: Cost | None = None
+    terminal: Cost | None = None
+    memory: float = MEMORY
+
+    @cached_property
+    def masses(self) -> Floats:
+        """Of each component, on a shape of unit area: (1, components)."""
+        return self.surface.sums((self.start * self.surface.mass)[None])
+
+    @property
+    def mass(self) -> float:
+        return float(self.masses.sum())
+
+    @property
+    def concentration(self) -> float:
+        """Density where the mass is."""
+        ends = [self.start] if self.end is None else [self.start, self.end]
+        return float(np.mean([self.surface.mass @ np.square(end / self.mass) for end in ends])) * self.mass
+
+
+class _InUnits(Cost):
+    """A cost of densities in units of ``density``, divided by the unit of a cost."""
+
+    def __init__(self, cost: Cost, density: float, value: float) -> None:
+        self.cost, self.density, self.unit = cost, density, value
+        self.upper = None if cost.upper is None else np.asarray(cost.upper) / density
+        self.superlinear = cost.superlinear
+
+    def value(self, density: Floats) -> Floats:
+        return self.cost.value(density * self.density) / (self.density * self.unit)
+
+    def derivative(self, density: Floats) -> Floats:
+        return self.cost.derivative(density * self.density) / self.unit
+
+    def prox(self, density: Floats, step: float) -> Floats:
+        return self._limited(self.cost.prox(density * self.density, step * self.density / self.unit) / self.density)
+
+    def maximizer(self, slope: Floats) -> Floats:
+        return self._limited(self.cost.maximizer(slope * self.unit) / self.density)
+
+    def conjugate(self, slope: Floats) -> Floats:
+        return self.cost.conjugate(slope * self.unit) / (self.density * self.unit)
+
+
+class Model:
+    """The problem without units: lengths in ``unit`` times the root of the area."""
+
+    def __init__(self, problem: Problem, intervals: int, unit: float) -> None:
+        surface = self.surface = problem.surface
+        self.problem, self.n, self.unit = problem, intervals, unit
+        self.power = problem.lagrangian.exponent
+        self.density = problem.concentration
+        self.speed = surface.length * unit  # of the user's units of length, in unit time
+        self.cost_unit = self.speed**self.power  # of a unit of mass
+        self.value_unit = self.density * surface.total * self.cost_unit
+        self.mass = surface.mass
+        self.start = problem.start / self.density
+        self.end = None if problem.end is None else problem.end / self.density
+        self.masses = problem.masses / self.density
+        self.weights = np.ascontiguousarray(problem.lagrangian.weights(len(surface.corners)))
+        self.domain = surface.domain(unit)
+        scaled = [None if cost is None else _InUnits(cost, self.density, self.cost_unit) for cost in (problem.running, problem.terminal)]
+        self.running, terminal = scaled
+        self.last: Cost | None = None  # of the last slice, a unit of time long, where it is free
+        if self.end is None:
+            parts = [0.5 * self.running] if self.running else []
+            parts += [float(intervals) * terminal] if terminal else []
+            self.last = None if not parts else parts[0] if len(parts) == 1 else parts[0] + parts[1]
+        self.last_slice = intervals if self.end is None else intervals - 1  # the last that is free
+
+    @cached_property
+    def projection(self) -> _core.SpaceTime:
+        return _core.SpaceTime(self.domain, self.n, self.end is None, 1.0, self.problem.memory)
+
+    # --- spaces -------------------------------------------------------------------------------------------------------------------
+
+    @property
+    def elements(self) -> int:
+        return len(self.surface.corners)
+
+    def momentum(self) -> Floats:
+        return np.zeros((self.n, self.elements * self.surface.dimension))
+
+    def line(self) -> Floats:
+        """Densities straight from the start to the end."""
+        t = np.linspace(0, 1, self.n + 1)[:, None]
+        return self.start + t * ((self.start if self.end is None else self.end) - self.start)
+
+    def gradients(self, potential: Floats) -> Floats:
+        out = np.empty((len(potential), self.elements * self.surface.dimension))
+        self.domain.gradients(potential, out)
+        return out
+
+    def densities(self, density: Floats) -> Floats:
+        out = np.empty((len(density) - 1, self.elements))
+        self.domain.densities(density, out)
+        return out
+
+    def gather(self, scalar: Floats, field: Floats, other: Floats, factor: float) -> tuple[Floats, Floats]:
+        mean, flux = np.empty((self.n, self.surface.count)), np.empty((self.n, self.surface.count))
+        self.domain.gather(scalar, field, other, factor, mean, flux)
+        return mean, flux
+
+    def squares(self, momentum: Floats) -> Floats:
+        """|M|² on each element."""
+        return np.square(momentum.reshape(self.n, self.elements, -1)).sum(2)
+
+    def at_nodes(self, mean: Floats) -> Floats:
+        """What the intervals' nodal integrals give to the slices between them, per unit mass: the adjoint of the average."""
+        out = np.zeros((self.n + 1, self.surface.count))
+        out[:-1] = 0.5 * mean
+        out[1:] += 0.5 * mean
+        return np.divide(out, self.mass, out=out, where=self.mass > 0)
+
+    def project(self, density: Floats, momentum_flux: Floats) -> tuple[Floats, Floats]:
+        """Projection on the continuity equation (8.23-8.25) of densities and of momenta with this flux: new densities, and ψ."""
+        right = self.n * self.mass * np.diff(density, axis=0) - momentum_flux
+        psi = np.empty_like(right)
+        self.projection.solve(right, psi)
+        moved = density.copy()
+        moved[1:-1] += self.n * np.diff(psi, axis=0)
+        if self.end is None:
+            moved[-1] -= self.n * psi[-1]
+        moved[:, self.mass == 0] = density[:, self.mass == 0]
+        return moved, psi
+
+    # --- the objective ------------------------------------------------------------------------------------------------------------
+
+    def kinetic(self, density: Floats, momentum: Floats) -> float:
+        """Cost of moving; infinite where something moves without mass."""
+        rho, square = self.densities(density), self.squares(momentum)
+        if ((rho <= 0) & (square > 0)).any():
+            return np.inf
+        q = self.power
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = square / rho if q == 2 else square ** (q / 2) * rho ** (1 - q)
+        values = np.where(square > 0, values, 0.0)
+        return float((values @ (self.surface.areas * self.weights)).sum()) / (q * self.n)
+
+    def standing(self, density: Floats) -> float:
+        """Running and terminal costs."""
+        total = 0.0
+        if self.running is not None:
+            values = self.running.value(density) @ self.mass
+            total += float((values[1:-1].sum() + 0.5 * values[0] + (0.5 * values[-1] if self.end is not None else 0.0)) / self.n)
+        if self.last is not None:
+            total += float(self.last.value(density[-1:])[0] @ self.mass) / self.n
+        return total
+
+    def prox(self, density: Floats, step: float) -> Floats:
+        """Of the running and terminal costs and of ρ >= 0, on the slices that are free (from the first after the start)."""
+        inner = density[: self.n - 1]
+        out = np.empty_like(density)
+        out[: self.n - 1] = np.maximum(inner, 0.0) if self.running is None else self.running.prox(inner, step)
+        if self.end is None:
+            out[-1] = np.maximum(density[-1], 0.0) if self.last is None else self.last.prox(density[-1:], step)[0]
+        return out
+
+    # --- the bound from below -----------------------------------------------------------------------------------------------------
+
+    def hamiltonian(self, potential: Floats) -> Floats:
+        """L*(grad φ), averaged to the vertices."""
+        out = np.empty_like(potential)
+        self.domain.hamiltonian(potential, self.weights, self.power, out)
+        return np.divide(out, self.mass, out=np.zeros_like(out), where=self.mass > 0)
+
+    def slopes(self, density: Floats) -> tuple[Floats, Floats | None]:
+        """F' on the inner slices (as a row each, slice k at k), and on the last one if it is free."""
+        limit = np.zeros((self.n, self.surface.count))
+        if self.running is not None:
+            limit[1:] = np.maximum(self.running.derivative(density[1:-1]), -1e100)
+        if self.end is not None:
+            return limit, None
+        last = np.zeros(self.surface.count) if self.last is None else self.last.derivative(density[-1:])[0] / self.n
+        return limit, np.maximum(last, -1e100)
+
+    def boundary(self, potential: Floats, h: Floats, last: Floats | None) -> float:
+        """What the two ends contribute to the bound; ``last`` has the slopes of the terminal cost."""
+        first = potential[0] + h[0] / (2 * self.n)
+        value = -float(self.mass @ (self.start * first))
+        return value + (self.linear_end(potential, h, last) if self.end is None else self.given_end(potential, h))
+
+    def given_end(self, potential: Floats, h: Floats) -> float:
+        assert self.end is not None
+        return float(self.mass @ (self.end * (potential[-1] - h[-1] / (2 * self.n))))
+
+    def linear_end(self, potential: Floats, h: Floats, last: Floats | None) -> float:
+        height = potential[-1] - h[-1] / (2 * self.n) + (0.0 if last is None else last)
+        least = np.full(self.surface.components, np.inf)
+        there = self.mass > 0
+        np.minimum.at(least, self.surface.labels[there], height[there])
+        return float(self.masses[0] @ np.where(np.isfinite(least), least, 0.0))
+
+    def linear_bound(self, potential: Floats, density: Floats) -> tuple[float, Floats]:
+        """The bound of the game in which everybody takes the costs at ``density`` as given, and the potential that proves it."""
+        limit, last = self.slopes(density)
+        best, proof = -np.inf, potential
+        candidates = np.empty((len(REPAIRS) * self.n, self.surface.count))
+        for backward in (False, True):
+            given = -potential[::-1] if backward else potential
+            limits = np.concatenate([limit[:1], limit[:0:-1]]) if backward else limit
+            bounded = backward and last is not None
+            if bounded:
+                assert last is not None
+                limits[0] = last
+            arguments = (np.ascontiguousarray(given), self.weights, np.ascontiguousarray(limits), bounded, self.power, REPAIRS)
+            self.domain.repairs(*arguments, candidates)
+            for candidate in candidates.reshape(len(REPAIRS), self.n, -1):
+                phi = -candidate[::-1] if backward else candidate
+                value = self.boundary(phi, self.hamiltonian(np.ascontiguousarray(phi)), last)
+                if np.isfinite(value) and value > best:
+                    best, proof = value, phi.copy()
+        return best, proof
+
+    def soft_bound(self, potential: Floats, *, inner: bool) -> float:
+        """The bound by the conjugates of superlinear costs. ``inner=False``: the potential satisfies the inequality inside already."""
+        h = self.hamiltonian(potential)
+        value = -float(self.mass @ (self.start * (potential[0] + h[0] / (2 * self.n))))
+        if inner and self.running is not None and self.n > 1:
+            value -= self._conjugate(self.running, self.n * np.diff(potential, axis=0) + 0.5 * (h[1:] + h[:-1])) / self.n
+        if self.end is not None:
+            value += self.given_end(potential, h)
+        elif self.last is not None and self.last.superlinear:
+            value -= self._conjugate(self.last, -self.n * (potential[-1:] - h[-1:] / (2 * self.n))) / self.n
+        else:
+            value += self.linear_end(potential, h, self.slopes(self.line())[1])
+        return value
+
+    def _conjugate(self, cost: Cost, slope: Floats) -> float:
+        """Sum over slices of the largest ``∫ slope p - F(p)`` among densities of the right mass."""
+        labels, masses = self.surface.labels, self.masses
+        low, high = np.full((len(slope), self.surface.components), np.inf), np.full((len(slope), self.surface.components), -np.inf)
+        for part in range(self.surface.components):
+            there = (labels == part) & (self.mass > 0)
+            if there.any():
+                low[:, part], high[:, part] = slope[:, there].min(1), slope[:, there].max(1)
+        low, high = np.where(np.isfinite(low), low, 0.0), np.where(np.isfinite(high), high, 0.0)
+        span = np.maximum(high - low, 1e-3 * (1 + np.abs(high)))
+
+        def missing(shift: Floats) -> Any:
+            with np.errstate(over="ignore", invalid="ignore"):
+                return self.surface.sums(cost.maximizer(slope - shift[:, labels]) * self.mass) < masses
+
+        for _ in range(60):  # a shift low enough that there is too much mass, one high enough that there is too little
+            too_little = missing(low)
+            if not too_little.any():
+                break
+            low = np.where(too_little, low - span, low)
+            span = np.where(too_little, 2 * span, span)
+        span = np.maximum(high - low, 1e-3 * (1 + np.abs(high)))
+        for _ in range(60):
+            too_much = ~missing(high)
+            if not too_much.any():
+                break
+            high = np.where(too_much, high + span, high)
+            span = np.where(too_much, 2 * span, span)
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            too_little = missing(middle)
+            low, high = np.where(too_little, low, middle), np.where(too_little, middle, high)
+        shift = high
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = np.where(self.mass > 0, cost.conjugate(slope - shift[:, labels]), 0.0) @ self.mass
+        total = float(values.sum() + (shift * masses).sum())
+        return total if np.isfinite(total) else np.inf
+
+    def tangent(self, density: Floats) -> float:
+        """``∫ F'(ρ) ρ`` over the slices that are free."""
+        limit, last = self.slopes(density)
+        at = float(((limit[1:] * density[1:-1]) @ self.mass).sum()) / self.n
+        return at if last is None else at + float(self.mass @ (last * density[-1]))
+
+    def bound(self, potential: Floats, density: Floats) -> tuple[float, Floats]:
+        """A lower bound of the objective, and the potential that proves it: costs are convex, so they lie above their tangents at
+        ``density``; or, where they are superlinear, by their conjugates."""
+        best, proof = self.linear_bound(potential, density)
+        if self.running is None and self.last is None:
+            return best, proof
+        best += self.standing(density) - self.tangent(density)
+        candidates = []
+        if self.running is not None and self.running.superlinear:
+            candidates = [(self.soft_bound(phi, inner=True), phi) for phi in (potential, proof)]
+        elif self.last is not None and self.last.superlinear:
+            candidates = [(self.soft_bound(proof, inner=False), proof)]
+        for value, phi in candidates:
+            if value + self.start_standing() > best:
+                best, proof = value + self.start_standing(), phi
+        return best, proof
+
+    def gain(self, density: Floats, momentum: Floats, potentials: list[Floats]) -> float:
+        """What players could gain at most, all together, by other paths while the costs stay what they are at ``density``."""
+        linear = max(self.linear_bound(np.ascontiguousarray(potential), density)[0] for potential in potentials)
+        return self.kinetic(density, momentum) + self.tangent(density) - linear
+
+    def start_standing(self) -> float:
+        """Running costs of the slices that are given."""
+        if self.running is None:
+            return 0.0
+        ends = [self.start] if self.end is None else [self.start, self.end]
+        return sum(0.5 * float(self.running.value(end[None])[0] @ self.mass) for end in ends) / self.n
+
+    # --- the bound from above -----------------------------------------------------------------------------------------------------
+
+    def paths(self, density: Floats) -> list[Floats]:
+        """Densities without a negative number and of the right mass near one that has the right mass only."""
+        free = density[1 : self.last_slice + 1]
+        if free.size == 0:
+            return [density.copy()]
+        negative = np.maximum(-free, 0.0)
+        typical = float(self.masses.sum())  # of unit area: the mean density
+        found = []
+        if not negative.any():
+            found.append(free.copy())
+        else:
+            clipped = np.maximum(free, 0.0)
+            found.append(clipped + 1e-3 * (self.surface.average @ (self.surface.average @ clipped.T)).T)
+            near = self.surface.largest(self.surface.largest(negative))
+            beside = near.copy()
+            beside[1:] = np.maximum(beside[1:], near[:-1])
+            beside[:-1] = np.maximum(beside[:-1], near[1:])
+            with np.errstate(invalid="ignore"):
+                damped = np.where(clipped > 0, clipped * clipped / np.maximum(clipped + beside, 1e-300), 0.0)
+            found.append(damped + 1e-4 * typical)
+            found.append(np.maximum(free - 2 * negative.max(axis=1, keepdims=True), 0.0) + 1e-5 * typical)
+        out = []
+        for slices in found:
+            path = density.copy()
+            path[0] = self.start
+            if self.end is not None:
+                path[-1] = self.end
+            path[1 : self.last_slice + 1] = self._within(self.surface.with_mass(slices, self.masses))
+            out.append(path)
+        return out
+
+    def _within(self, slices: Floats) -> Floats:
+        """Moved below the largest density allowed, with the same mass."""
+        caps = [None if cost is None or cost.upper is None else cost.upper for cost in (self.running, self.last)]
+        if caps == [None, None]:
+            return slices
+        upper = np.full(slices.shape, np.inf)
+        if caps[0] is not None:
+            upper[:] = caps[0]
+        if self.end is None and caps[1] is not None:
+            upper[-1] = np.minimum(upper[-1], caps[1])
+        if not (slices > upper).any():
+            return slices
+        labels = self.surface.labels
+        low = np.zeros((len(slices), self.surface.components))
+        high = np.full_like(low, 2.0)
+        for _ in range(60):
+            room = self.surface.sums(np.minimum(slices * high[:, labels], upper) * self.mass) < self.masses
+            if not room.any():
+                break
+            high = np.where(room, 4 * high, high)
+        for _ in range(80):
+            middle = 0.5 * (low + high)
+            room = self.surface.sums(np.minimum(slices * middle[:, labels], upper) * self.mass) < self.masses
+            low, high = np.where(room, middle, low), np.where(room, high, middle)
+        return np.minimum(slices * high[:, labels], upper)
+
+    def rate(self, density: Floats) -> Floats:
+        """The mass that comes to each vertex a unit of time."""
+        return self.n * self.mass * np.diff(density, axis=0)
+
+    def corrected(self, density: Floats, momentum: Floats) -> Floats:
+        """The momentum nearest to the given one that moves these densities."""
+        flux = self.gather(np.zeros((self.n, self.elements)), momentum, momentum, 0.0)[1]
+        missing = self.rate(density) - flux
+        size = max(float(np.abs(self.rate(density)).max()), 1e-300)
+        if float(np.abs(missing).max()) <= 1e-15 * size:
+            return momentum
+        u = self.surface.poisson.solve_integrated(np.ascontiguousarray(missing.T)) * (self.surface.total / self.speed**2)
+        return momentum + self.gradients(np.ascontiguousarray(u.T))
+
+    def optimal(self, density: Floats, potential: Floats) -> Floats:
+        """The cheapest momentum that moves these densities (exactly for the squared speed)."""
+        conductivity = self.densities(density)
+        if self.power == 2:
+            conductivity = conductivity / self.weights
+        else:
+            r = self.power / (self.power - 1)
+            speed = np.sqrt(self.squares(self.gradients(potential)))
+            conductivity = conductivity * (speed / self.weights) ** (r - 2) / self.weights
+        most = conductivity.max(axis=1, keepdims=True)
+        conductivity = np.maximum(conductivity, np.where(most > 0, 1e-9 * most, 1.0))
+        out = self.momentum()
+        self.domain.optimal_momentum(conductivity, self.rate(density), out)
+        return out
+
+
+@dataclass
+class Iterate:
+    """Where an iteration stands: densities and momenta that satisfy the continuity equation, and a potential."""
+
+    density: Floats
+    momentum: Floats
+    potential: Floats
+
+
+class Splitting:
+    """Primal-dual splitting (Chambolle and Pock) with the exact projection on the continuity equation on one side, the exact
+    projection of the perspective function on the other, and a block of the vertices for ρ >= 0 and the costs of being somewhere."""
+
+    def __init__(self, model: Model, *, ratio: float = 0.25, start: Splitting | None = None) -> None:
+        self.model = model
+        q = model.density / model.problem.mass  # how much denser than the mean the mass is
+        self.tau, self.sigma = np.sqrt(1 / (ratio * q * (1 + NONNEGATIVE**2))), np.sqrt(ratio * q / (1 + NONNEGATIVE**2))
+        if start is None:
+            self.density, self.momentum = model.line(), model.momentum()
+            self.dual_density = np.zeros((model.n, model.elements))
+            self.dual_momentum, self.dual_vertex = model.momentum(), np.zeros_like(self.density)
+        else:
+            where = (np.arange(model.n) * start.model.n) // model.n
+            t = np.linspace(0, start.model.n, model.n + 1)
+            before = np.minimum(t.astype(int), start.model.n - 1)
+            part = (t - before)[:, None]
+            self.density = (1 - part) * start.density[before] + part * start.density[before + 1]
+            self.dual_vertex = (1 - part) * start.dual_vertex[before] + part * start.dual_vertex[before + 1]
+            self.momentum, self.dual_momentum = start.momentum[where], start.dual_momentum[where]
+            self.dual_density = start.dual_density[where]
+        self.after, self.psi = self.density, np.zeros((model.n, model.surface.count))
+
+    def advance(self) -> Floats:
+        """Half an iteration: the projection. Returns ``2 P' - P`` of the slices that are free."""
+        model, tau = self.model, self.tau
+        mean, flux = model.gather(self.dual_density, self.momentum, self.dual_momentum, tau)
+        pull = model.at_nodes(mean) + NONNEGATIVE * self.dual_vertex
+        pull[0] = 0
+        if model.end is not None:
+            pull[-1] = 0
+        self.after, self.psi = model.project(self.density - tau * pull, flux)
+        return 2 * self.after[1 : model.last_slice + 1] - self.density[1 : model.last_slice + 1]
+
+    def finish(self, vertex: Floats) -> None:
+        """The other half: dual steps, ``vertex`` being the new dual of the vertices, and over-relaxation."""
+        model = self.model
+        steps = (float(self.tau), float(self.sigma), RELAXATION, model.power)
+        model.domain.step(
+            steps, model.weights, self.density, self.after, self.psi, self.momentum, self.dual_density, self.dual_momentum
+        )
+        free = slice(1, model.last_slice + 1)
+        self.dual_vertex[free] += RELAXATION * (vertex - self.dual_vertex[free])
+        self.density = self.density + RELAXATION * (self.after - self.density)
+
+    def iterate(self) -> None:
+        ahead = self.advance()
+        self.finish(self.vertex_dual(ahead))
+
+    def vertex_dual(self, ahead: Floats) -> Floats:
+        model, scale = self.model, self.sigma * NONNEGATIVE
+        v = self.dual_vertex[1 : model.last_slice + 1] + scale * ahead
+        return v - scale * model.prox(v / scale, 1 / (scale * NONNEGATIVE)) if v.size else v
+
+    def state(self) -> Iterate:
+        """The densities as projected, with a momentum that moves them."""
+        return Iterate(self.density, self.momentum, self.psi / self.tau)
+
+
+class Gradient:
+    """The chapter's Algorithm 2: a gradient step and the projection on the continuity equation, accelerated (FISTA), with backtracking
+    that also lengthens the step and a restart whenever the acceleration points uphill. For densities bounded away from zero."""
+
+    FLOOR = 1e-3  # of the mean density
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.floor = self.FLOOR * model.problem.mass / model.density
+        self.density = model.line()
+        self.momentum = model.corrected(self.density, model.momentum())
+        self.behind = (self.density, self.momentum)
+        self.t, self.step, self.psi = 1.0, 0.5, np.zeros((model.n, model.surface.count))
+
+    def value(self, density: Floats, momentum: Floats) -> float:
+        model, q = self.model, self.model.power
+        rho = np.maximum(model.densities(density), self.floor)
+        square = model.squares(momentum)
+        moving = float(((square ** (q / 2) * rho ** (1 - q)) @ (model.surface.areas * model.weights)).sum()) / (q * model.n)
+        return moving + model.standing(np.maximum(density, 0.0))
+
+    def slope(self, density: Floats, momentum: Floats) -> tuple[Floats, Floats]:
+        """Gradient of the objective in the inner products of the two spaces."""
+        model, q = self.model, self.model.power
+        rho = model.densities(density)
+        floored = np.maximum(rho, self.floor)
+        square = model.squares(momentum)
+        with np.errstate(divide="ignore"):
+            factor = model.weights * np.where(square > 0, square ** (q / 2 - 1), 0.0) * floored ** (1 - q)
+        by_density = np.where(rho > self.floor, model.weights * (1 - q) / q * square ** (q / 2) * floored ** (-q), 0.0)
+        by_momentum = momentum * np.repeat(factor, model.surface.dimension, axis=1)
+        out = model.at_nodes(model.gather(by_density, momentum, momentum, 0.0)[0])
+        if model.running is not None:
+            out[1:-1] += model.running.derivative(np.maximum(density[1:-1], 0.0))
+        if model.last is not None:
+            out[-1] += model.last.derivative(np.maximum(density[-1:], 0.0))[0]
+        out[0] = 0
+        if model.end is not None:
+            out[-1] = 0
+        return out, by_momentum
+
+    def iterate(self) -> None:
+        model = self.model
+        t = 0.5 * (1 + np.sqrt(1 + 4 * self.t**2))
+        ahead = (self.t - 1) / t
+        p = self.density + ahead * (self.density - self.behind[0])
+        m = self.momentum + ahead * (self.momentum - self.behind[1])
+        here, (slope_p, slope_m) = self.value(p, m), self.slope(p, m)
+        self.step *= 1.3
+        zero = np.zeros((model.n, model.elements))
+        measure = np.repeat(model.surface.areas, model.surface.dimension)
+        while True:
+            eta = self.step
+            flux = model.gather(zero, m, slope_m, eta)[1]
+            moved, psi = model.project(p - eta * slope_p, flux)
+            momentum = m - eta * slope_m + model.gradients(psi)
+            dp, dm = moved - p, momentum - m
+            linear = float((slope_p * dp) @ model.mass @ np.ones(model.n + 1)) + float(((slope_m * dm) @ measure).sum())
+            size = float((np.square(dp) @ model.mass).sum() + (np.square(dm) @ measure).sum())
+            there = self.value(moved, momentum)
+            if there <= here + (linear + 0.5 * size / eta) / model.n + 1e-13 * abs(here) or eta < 1e-9:
+                break
+            self.step *= 0.5
+        uphill = float(((p - moved) * (moved - self.density) @ model.mass).sum() + (((m - momentum) * (momentum - self.momentum)) @ measure).sum())
+        self.behind = (self.density, self.momentum)
+        self.density, self.momentum, self.psi, self.t = moved, momentum, psi / eta, t
+        if uphill > 0:
+            self.behind, self.t = (moved, momentum), 1.0
+
+    def state(self) -> Iterate:
+        return Iterate(self.density, self.momentum, self.psi)
+
+
+@dataclass
+class Certificate:
+    """The best path so far and the best bound, in units of the model."""
+
+    model: Model
+    upper: float = np.inf
+    lower: float = -np.inf
+    density: Floats | None = None
+    momentum: Floats | None = None
+    potential: Floats | None = None
+    last: Floats | None = None
+    history: list[tuple[int, float, float, float]] = field(default_factory=list)
+
+    @property
+    def gap(self) -> float:
+        """Relative to the objective, or to what moves where that is larger."""
+        if not np.isfinite(self.upper) or not np.isfinite(self.lower):
+            return np.inf
+        size = max(abs(self.upper), abs(self.lower), 1e-14)
+        return max(self.upper - self.lower, 0.0) / size
+
+    def offer(self, density: Floats, momentum: Floats) -> None:
+        value = self.model.kinetic(density, momentum) + self.model.standing(density)
+        if value < self.upper:
+            self.upper, self.density, self.momentum = value, density, momentum
+
+    def look(self, state: Iterate, iteration: int, tolerance: float) -> None:
+        model = self.model
+        found = []
+        for path in model.paths(state.density):
+            momentum = model.corrected(path, state.momentum)
+            found.append((model.kinetic(path, momentum) + model.standing(path), path, momentum))
+        found.sort(key=lambda item: item[0])
+        if found[0][0] < self.upper:
+            self.upper, self.density, self.momentum = found[0]
+        assert self.density is not None
+        lower, proof = model.bound(np.ascontiguousarray(state.potential), self.density)
+        if lower > self.lower or self.potential is None:
+            self.lower, self.potential = max(lower, self.lower), proof
+        if self.gap > tolerance:
+            for _, path, _ in found:
+                self.offer(path, model.optimal(path, state.potential))
+        self.last = state.potential
+        self.history.append((iteration, self.upper, self.lower, self.gap))
+
+
+def looks(most: int) -> list[int]:
+    """After how many iterations the bounds are worked out."""
+    at, found = 16.0, []
+    while at < most:
+        found.append(round(at))
+        at = max(at * 1.3, at + 8)
+    return [*found, most]
+
+
+def travel(problem: Problem, iterations: int = 40) -> float:
+    """How far mass goes, in roots of the area: from a short run with few intervals."""
+    model = Model(problem, min(problem.intervals, 4), 0.5)
+    run = Splitting(model)
+    for _ in range(iterations):
+        run.iterate()
+    found = Certificate(model)
+    found.look(run.state(), iterations, 0.0)
+    assert found.density is not None and found.momentum is not None
+    q = model.power
+    if model.running is None and model.last is None:
+        energy = float(np.sqrt(max(found.upper, 0.0) * max(found.lower, 0.05 * found.upper, 0.0)))
+    else:
+        energy = model.kinetic(found.density, found.momentum)
+    mean_weight = float(np.median(model.weights))
+    distance = (q * energy / (float(model.masses.sum()) * mean_weight)) ** (1 / q) * 0.5 if energy > 0 else 0.0
+    return float(np.clip(distance, 1e-3, 10.0))
+
+
+PEAKED = 4.0  # times the mean density where the mass is: above it the run begins with few intervals
+COARSE = 30  # iterations with each of them
+
+
+def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Callable[[float, float], None]) -> tuple[Certificate, int]:
+    """Iterates until the certified gap is below the tolerance, or ``most`` times."""
+    unit = travel(problem)
+    model = Model(problem, problem.intervals, unit)
+    certificate = Certificate(model)
+    line = model.line()
+    if problem.end is not None:
+        line = model.paths(line)[0]
+    still = Iterate(line, model.corrected(line, model.momentum()), np.zeros((model.n, model.surface.count)))
+    certificate.look(still, 0, 0.0)
+    if certificate.gap <= tolerance:
+        return certificate, 0
+    run: Splitting | Gradient
+    if method == "projected_gradient":
+        run = Gradient(model)
+    else:
+        before = None
+        if model.density > PEAKED * problem.mass:
+            for intervals in (4, 8, 16):
+                if 2 * intervals > problem.intervals:
+                    break
+                before = Splitting(Model(problem, intervals, unit), start=before)
+                for _ in range(COARSE):
+                    before.iterate()
+        run = Splitting(model, start=before)
+    stops = set(looks(most))
+    for iteration in range(1, most + 1):
+        run.iterate()
+        if iteration in stops:
+            certificate.look(run.state(), iteration, tolerance)
+            if certificate.gap <= tolerance:
+                break
+        watch(certificate.gap, iteration / most)
+    return certificate, iteration

@@ -1,0 +1,416 @@
+"""Dynamic optimal transport over a surface, with a certificate (section 8.2), and barycenters by the same machinery."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from . import arrays, continuity
+from .arrays import Floats
+from .continuity import MEMORY, Certificate, Model, Problem, Surface
+from .costs import Lagrangian
+from .errors import InputError
+from .operators import Operators
+from .progress import Progress
+from .segment import _Watch, _write
+from .shapes import PointCloud, Shape
+from .view import Page, Picture
+
+__all__ = ["Flow", "TransportResult", "transport"]
+
+Method = Literal["primal_dual", "projected_gradient"]
+
+EQUAL = 1e-9  # relative difference of two masses that is still rounding
+
+
+# --- what comes in -----------------------------------------------------------------------------------------------------------------
+
+
+def density_in(surface: Surface, density: npt.ArrayLike, name: str) -> Floats:
+    """(n,), finite, not negative, with mass."""
+    array = np.asarray(density)
+    if array.ndim == 1 and len(array) != surface.count:
+        raise InputError(f"{name} has {len(array)} values, the shape has {surface.count} vertices; give one a vertex")
+    values = arrays.floats(density, name, (surface.count,))
+    if values.min() < 0:
+        where = int(np.argmin(values))
+        raise InputError(f"{name}[{where}] is {values[where]:g}; densities must not be negative: clip them with np.maximum(..., 0)")
+    mass = float(surface.mass @ values)
+    if not (np.isfinite(mass * surface.total) and mass > 1e-200):
+        raise InputError(f"{name} has the mass {mass * surface.total:g}; it must be positive and within range")
+    return values
+
+
+def balanced(surface: Surface, densities: list[Floats], names: Sequence[str], normalize: bool) -> list[Floats]:
+    """Densities that have the mass of the first one on each component; with ``normalize`` rescaled to it."""
+    first = densities[0]
+    wanted = surface.sums((first * surface.mass)[None])[0]
+    out = [first]
+    for density, name in zip(densities[1:], names[1:], strict=True):
+        if normalize:
+            density = density * (wanted.sum() / float(surface.mass @ density))
+        found = surface.sums((density * surface.mass)[None])[0]
+        total, other = wanted.sum() * surface.total, found.sum() * surface.total
+        if abs(other - total) > EQUAL * total:
+            raise InputError(
+                f"{names[0]} has the mass {total:.9g}, {name} has {other:.9g}: a difference of {100 * (other / total - 1):.3g} %; "
+                "give densities of equal mass (per unit area), or normalize=True"
+            )
+        apart = np.abs(found - wanted)
+        if (apart > EQUAL * wanted.sum()).any():
+            part = int(np.argmax(apart))
+            vertex = int(np.flatnonzero(surface.labels == part)[0])
+            raise InputError(
+                f"component {part} (that of vertex {vertex}) has the mass {wanted[part] * surface.total:.6g} in {names[0]} and "
+                f"{found[part] * surface.total:.6g} in {name}; mass cannot leave a component, so it must be equal on each"
+            )
+        out.append(density)
+    return out
+
+
+# --- what goes out -----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Flow:
+    """Densities that move over a shape, and the momentum that moves them.
+
+    Attributes
+    ----------
+    shape : TriangleMesh or PointCloud
+    density : ndarray (intervals + 1, n)
+        Per unit area, at times k / intervals. Never negative; the mass is the same at all times.
+    momentum : ndarray (intervals, m, D)
+        A tangent vector a triangle (of a cloud: a simplex of its local mesh) and interval: density times velocity.
+    potential : ndarray (intervals, n)
+        φ, whose gradient is the velocity where there is mass.
+    lower_bound, gap : float
+        What no path can cost less than, and how far the answer is above it, relative.
+    continuity_residual : float
+        Of ``(ρ_{k+1} - ρ_k) intervals + div M = 0``, relative to the sizes of density and change.
+    iterations : int
+    converged : bool
+        Whether the gap reached the tolerance.
+    history : dict of str to ndarray
+        ``iteration``, ``objective``, ``lower_bound``, ``gap`` each time the bounds were worked out; the best so far.
+    corners : ndarray (m, 3)
+        Vertices of the triangles that the momentum lives on.
+    """
+
+    shape: Shape
+    density: Floats
+    momentum: Floats
+    potential: Floats
+    lower_bound: float
+    gap: float
+    continuity_residual: float
+    iterations: int
+    converged: bool
+    history: dict[str, npt.NDArray[Any]]
+    corners: npt.NDArray[np.int32]
+
+    @property
+    def intervals(self) -> int:
+        """How many intervals time has."""
+        return len(self.momentum)
+
+    def interpolate(self, t: float) -> Floats:
+        """The density at a time from 0 to 1, (n,): linear between the times of ``density``, which keeps the continuity equation.
+
+        Examples
+        --------
+        >>> import beltrami as bt
+        >>> grid = bt.shapes.grid(9, 9)
+        >>> x = grid.vertices[:, 0]
+        >>> r = bt.transport(grid, 1 + 0.2 * x, 1.2 - 0.2 * x, intervals=4)
+        >>> bool((r.interpolate(0.5) == r.density[2]).all())
+        True
+        """
+        time = arrays.number(t, "t", least=0)
+        if time > 1:
+            raise InputError(f"t is {time:g}; it must be from 0 to 1")
+        before = min(int(time * self.intervals), self.intervals - 1)
+        part = time * self.intervals - before
+        if part in (0.0, 1.0):
+            return self.density[before + int(part)].copy()
+        return (1 - part) * self.density[before] + part * self.density[before + 1]
+
+    @cached_property
+    def velocity(self) -> Floats:
+        """(intervals, m, D): momentum over the density of the triangle and interval; 0 where there is none."""
+        rho = self.density[:, self.corners].mean(axis=2)
+        rho = 0.5 * (rho[1:] + rho[:-1])
+        least = 1e-12 * rho.max(initial=0.0)
+        return np.divide(self.momentum, rho[..., None], out=np.zeros_like(self.momentum), where=rho[..., None] > least)
+
+    def particle_paths(self, points: npt.ArrayLike, *, substeps: int = 4) -> Floats:
+        """Where particles go: streamlines on the surface.
+
+        Parameters
+        ----------
+        points : array_like (k, D), or (k,) of int
+            Where they start, or at which vertices.
+        substeps : int
+            Steps of the midpoint rule in each interval.
+
+        Returns
+        -------
+        ndarray (intervals * substeps + 1, k, D)
+
+        Raises
+        ------
+        InputError
+            The shape is a cloud; points do not fit.
+        """
+        if isinstance(self.shape, PointCloud) or len(self.corners) != len(self.shape.faces):
+            raise InputError("particle paths are there for flows on the triangles of a mesh")
+        from .near import closest_points
+
+        mesh, steps = self.shape, arrays.whole(substeps, "substeps", 1)
+        given = np.asarray(points)
+        if given.ndim == 1:
+            here = mesh.vertices[arrays.indices(points, "points", len(mesh.vertices), empty=True)]
+        else:
+            here = arrays.floats(points, "points", (None, mesh.dimension))
+        if len(here) == 0:
+            return np.zeros((self.intervals * steps + 1, 0, mesh.dimension))
+        # Velocities at vertices: means over the triangles around, weighted by the mass on them, so that they vary continuously.
+        rho = self.density[:, self.corners].mean(axis=2)
+        weight = 0.5 * (rho[1:] + rho[:-1]) * mesh.face_areas + 1e-12 * rho.max() * mesh.face_areas
+        nodal = np.zeros((self.intervals, len(mesh.vertices), mesh.dimension))
+        for k in range(self.intervals):
+            total = np.bincount(mesh.faces.ravel(), np.repeat(weight[k], 3), len(mesh.vertices))
+            for d in range(mesh.dimension):
+                flow = np.bincount(mesh.faces.ravel(), np.repeat(weight[k] * self.velocity[k, :, d], 3), len(mesh.vertices))
+                nodal[k, :, d] = np.divide(flow, total, out=np.zeros_like(flow), where=total > 0)
+
+        def at(table: Floats, places: Any) -> Floats:
+            return np.einsum("kc,kcd->kd", places.barycentric, table[mesh.faces[places.faces]])
+
+        places = closest_points(mesh, here)
+        out = [places.points]
+        dt = 1 / (self.intervals * steps)
+        for k in range(self.intervals):
+            for _ in range(steps):
+                middle = closest_points(mesh, places.points + 0.5 * dt * at(nodal[k], places))
+                places = closest_points(mesh, places.points + dt * at(nodal[k], middle))
+                out.append(places.points)
+        return np.stack(out)
+
+    def plot(self, *, times: int | Sequence[float] = 5, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints the density at some times side by side, on one scale; an ``.html`` page lets you step through them.
+
+        Parameters
+        ----------
+        times : int or sequence of float
+            How many times from 0 to 1, or which.
+        path : path, optional
+            ``.png`` or ``.html``.
+        **options
+            Those of :func:`beltrami.plot`.
+        """
+        from .view import plot
+
+        chosen = np.linspace(0, 1, arrays.whole(times, "times", 1)) if isinstance(times, int) else np.asarray(list(times), float)
+        fields = {f"t = {t:.3g}": self.interpolate(float(t)) for t in chosen}
+        high = max(float(field.max()) for field in fields.values())
+        return plot(self.shape, fields, path=path, **{"limits": (0.0, high), **options})
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``, the shape with the densities of all times to ``.ply``, pictures to ``.png`` or ``.html``."""
+        path = Path(path)
+        suffix = path.suffix.lower()
+        if suffix in (".png", ".html"):
+            self.plot(path=path, **({"times": min(self.intervals + 1, 33)} if suffix == ".html" else {}))
+        elif suffix == ".ply":
+            from .segment import _save_shape
+
+            _save_shape(self.shape, {f"density_{k}": np.ascontiguousarray(row) for k, row in enumerate(self.density)}, path)
+        elif suffix == ".npz":
+            _write(path, lambda stream: np.savez_compressed(stream, **self._fields()))
+        else:
+            raise InputError(f"{path}: a flow is written to .npz, .ply, .png or .html")
+        return path
+
+    def _fields(self) -> dict[str, Any]:
+        kept = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | float | int) and name != "velocity"}
+        return {**kept, **{f"history_{name}": column for name, column in self.history.items()}}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TransportResult(Flow):
+    """A geodesic of densities in the Wasserstein distance, and how far from the shortest it can be at most.
+
+    All that :class:`Flow` has, and
+
+    Attributes
+    ----------
+    cost : float
+        ``½ W2²``: the kinetic energy of the path handed out, ``1 / intervals Σ_k Σ_T A_T |M|² / (2 ρ)``.
+    distance : float
+        W2, the root of twice the cost.
+    """
+
+    cost: float
+    distance: float
+
+    def __repr__(self) -> str:
+        state = "" if self.converged else ", NOT CONVERGED"
+        return f"TransportResult(distance {self.distance:.6g}, gap {self.gap:.1e} after {self.iterations} iterations{state})"
+
+
+def flow_fields(problem: Problem, certificate: Certificate, iterations: int, tolerance: float) -> tuple[dict[str, Any], float]:
+    """What a :class:`Flow` is made of, in the user's units, and its objective."""
+    model, surface = certificate.model, problem.surface
+    assert certificate.density is not None and certificate.momentum is not None and certificate.potential is not None
+    density = certificate.density * model.density
+    density[0] = problem.start
+    if problem.end is not None:
+        density[-1] = problem.end
+    path = density / model.density
+    momentum = model.corrected(path, model.corrected(path, certificate.momentum))
+    objective = model.kinetic(path, momentum) + model.standing(path)
+    flux = model.gather(np.zeros((model.n, model.elements)), momentum, momentum, 0.0)[1]
+    change = model.rate(path)
+    there = surface.mass > 0
+    rms = [float(np.sqrt((x[:, there] ** 2 / surface.mass[there]).sum() / model.n)) for x in (change - flux, change)]
+    size = rms[1] + float(np.sqrt((path**2 @ surface.mass).mean()))
+    local = momentum.reshape(model.n, model.elements, -1) * (model.density * model.speed)
+    steps = [np.array(column) for column in zip(*certificate.history, strict=True)]
+    names = ("iteration", "objective", "lower_bound", "gap")
+    history = {name: column * (model.value_unit if name in ("objective", "lower_bound") else 1) for name, column in zip(names, steps, strict=True)}
+    scale = max(abs(objective), abs(certificate.lower), 1e-14)
+    lower = min(certificate.lower, objective)
+    gap = (objective - lower) / scale
+    fields = {
+        "shape": surface.operators.shape,
+        "density": density,
+        "momentum": np.einsum("kmc,mcd->kmd", local, surface.frames),
+        "potential": certificate.potential * model.cost_unit,
+        "lower_bound": lower * model.value_unit,
+        "gap": gap,
+        "continuity_residual": rms[0] / max(size, 1e-300),
+        "iterations": iterations,
+        "converged": bool(gap <= tolerance),
+        "history": history,
+        "corners": surface.corners,
+    }
+    return fields, objective * model.value_unit
+
+
+def still(problem: Problem) -> dict[str, Any]:
+    """What a :class:`Flow` is made of where nothing moves."""
+    surface, n = problem.surface, problem.intervals
+    zero = np.zeros(1)
+    return {
+        "shape": surface.operators.shape,
+        "density": np.repeat(problem.start[None], n + 1, axis=0),
+        "momentum": np.zeros((n, len(surface.corners), surface.frames.shape[2])),
+        "potential": np.zeros((n, surface.count)),
+        "lower_bound": 0.0,
+        "gap": 0.0,
+        "continuity_residual": 0.0,
+        "iterations": 0,
+        "converged": True,
+        "history": {"iteration": zero, "objective": zero.copy(), "lower_bound": zero.copy(), "gap": zero.copy()},
+        "corners": surface.corners,
+    }
+
+
+def options_in(method: str, tolerance: float, max_iterations: int, memory: float | None) -> tuple[float, int, float]:
+    """Checked options that all doors share."""
+    if method not in ("primal_dual", "projected_gradient"):
+        raise InputError(f"method is {method!r}; choose 'primal_dual' or 'projected_gradient'")
+    wished = arrays.number(tolerance, "tolerance", above=0)
+    return wished, arrays.whole(max_iterations, "max_iterations", 1), MEMORY if memory is None else arrays.number(memory, "memory", least=0)
+
+
+def transport(
+    shape: Shape | Operators,
+    density0: npt.ArrayLike,
+    density1: npt.ArrayLike,
+    *,
+    intervals: int = 32,
+    normalize: bool = False,
+    method: Method = "primal_dual",
+    tolerance: float = 1e-3,
+    max_iterations: int = 300,
+    memory: float | None = None,
+    progress: Progress = None,
+) -> TransportResult:
+    """Optimal transport between two densities on a surface: the path of least kinetic energy [1]_, [2]_.
+
+    Among densities P at vertices and momenta M on triangles with ``∂_t P + div M = 0`` and the given ends, the least
+    ``∫ Σ_T A_T |M|² / (2 P)`` (8.19-8.20), which is ``½ W2²``. The iteration projects exactly on the continuity equation, by one sparse
+    factor a mode of time (8.23-8.25). What is handed out satisfies the equation to rounding with densities that are not negative, so
+    that its cost is a true upper bound; the potential, repaired until it satisfies the Hamilton-Jacobi inequality, proves a lower one.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+        With or without boundary (nothing flows through it), in any number of pieces.
+    density0, density1 : array_like (n,)
+        Per unit area: ``ops.mass @ density0 == ops.mass @ density1`` on each component, to 1e-9. May be zero anywhere.
+    intervals : int
+        Of time. 16 to 32 are usual; the discretization's error falls with their number and with the mesh.
+    normalize : bool
+        Rescale ``density1`` to the mass of ``density0``.
+    method : {"primal_dual", "projected_gradient"}
+        The splitting with the exact projection of the perspective function [3]_, which tolerates densities that vanish; or the
+        chapter's Algorithm 2 with acceleration [2]_, for densities bounded away from zero.
+    tolerance : float
+        Relative gap to stop at.
+    max_iterations : int
+    memory : float, optional
+        Bytes that the factors may take, 2e9 by default: n vertices take about 300 n bytes a mode (there are ``intervals`` modes). With
+        less, modes share factors and the others are solved by preconditioned conjugate gradients, to the same precision.
+    progress : bool or callable, optional
+
+    Returns
+    -------
+    TransportResult
+        With ``converged=False`` if the gap was not reached; its bounds hold nevertheless.
+
+    Raises
+    ------
+    InputError
+        A density is negative, not finite, of the wrong length, or without mass; masses differ (the message says by how much, and on
+        which component); an option is out of range.
+
+    See Also
+    --------
+    mean_field_game, wasserstein_barycenter
+
+    References
+    ----------
+    .. [1] J.-D. Benamou, Y. Brenier, A computational fluid mechanics solution to the Monge-Kantorovich mass transfer problem, 2000.
+    .. [2] J. Yu, R. Lai, W. Li, S. Osher, Computational mean-field games on manifolds, 2023.
+    .. [3] N. Papadakis, G. Peyré, E. Oudet, Optimal transport with proximal splitting, 2014.
+    .. [4] H. Lavenant, S. Claici, E. Chien, J. Solomon, Dynamical optimal transport on discrete surfaces, 2018.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> sphere = bt.shapes.sphere(3)
+    >>> z = sphere.vertices[:, 2]
+    >>> r = bt.transport(sphere, np.exp(z), np.exp(-z), intervals=8, normalize=True)
+    >>> r.converged, bool(r.lower_bound <= r.cost <= 1.001 * r.lower_bound), bool(r.density.min() >= 0)
+    (True, True, True)
+    """
+    surface = Surface(shape)
+    wished, most, limit = options_in(method, tolerance, max_iterations, memory)
+    given = [density_in(surface, density0, "density0"), density_in(surface, density1, "density1")]
+    start, end = balanced(surface, given, ("density0", "density1"), normalize)
+    problem = Problem(surface, start, end, arrays.whole(intervals, "intervals", 1), Lagrangian(), memory=limit)
+    if np.abs(end - start).max() <= 1e-14 * start.max():
+        return TransportResult(**still(problem), cost=0.0, distance=0.0)
+    certificate, iterations = continuity.solve(problem, method, wished, most, _Watch(progress, "transport", wished))
+    fields, cost = flow_fields(problem, certificate, iterations, wished)
+    return TransportResult(**fields, cost=cost, distance=float(np.sqrt(2 * max(cost, 0.0))))

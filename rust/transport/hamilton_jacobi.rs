@@ -1,0 +1,181 @@
+//! Potentials that satisfy the discrete Hamilton-Jacobi inequality: what lower bounds are made of.
+
+use super::Domain;
+use crate::error::{Error, Result};
+use rayon::prelude::*;
+
+/// How a potential is repaired.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Repair {
+    /// q of the Lagrangian `weight |p|^q / q`.
+    pub power: f64,
+    /// How often each slice is lowered where it is too high; 0 only shifts it as a whole.
+    pub passes: usize,
+    /// How much of the excess is taken off.
+    pub share: f64,
+    /// Take the largest excess around each node, averaged once.
+    pub dilated: bool,
+}
+
+impl Domain {
+    /// `h = Σ a/corners L*(grad φ)` of each slice, integrated over the nodes' areas, `L*(s) = weight^(1 - r) |s|^r / r`, `1/q + 1/r = 1`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if sizes do not fit.
+    pub fn hamiltonian(&self, potential: &[f64], weights: &[f64], power: f64, out: &mut [f64]) -> Result<()> {
+        self.slices(potential.len())?;
+        self.expect("the Hamiltonian", out.len(), potential.len())?;
+        let factors = self.conjugate_weights(weights, power)?;
+        if self.nodes() == 0 {
+            return Ok(());
+        }
+        out.par_chunks_mut(self.nodes()).zip(potential.par_chunks(self.nodes())).for_each_init(Vec::new, |scratch, (out, potential)| {
+            self.hamiltonian_slice(potential, &factors, power, scratch, out);
+        });
+        Ok(())
+    }
+
+    fn conjugate_weights(&self, weights: &[f64], power: f64) -> Result<Vec<f64>> {
+        self.expect("the weights", weights.len(), self.count())?;
+        if !(power > 1.0 && power <= 2.0) {
+            return Err(Error::input(format!("the power is {power}; it must be above 1 and up to 2")));
+        }
+        let (r, corners) = (power / (power - 1.0), self.elements.corners as f64);
+        let factor = |(&w, &a): (&f64, &f64)| a / corners * if power == 2.0 { 0.5 / w } else { w.powf(1.0 - r) / r };
+        Ok(weights.iter().zip(&self.elements.weights).map(factor).collect())
+    }
+
+    fn hamiltonian_slice(&self, potential: &[f64], factors: &[f64], power: f64, scratch: &mut Vec<f64>, out: &mut [f64]) {
+        scratch.clear();
+        match self.elements.corners {
+            2 => self.energies::<2>(potential, factors, power, scratch),
+            3 => self.energies::<3>(potential, factors, power, scratch),
+            _ => self.energies::<4>(potential, factors, power, scratch),
+        }
+        let (elements, corners) = (&self.elements, self.elements.corners);
+        for (node, out) in out.iter_mut().enumerate() {
+            let around = &elements.incidence[elements.starts[node]..elements.starts[node + 1]];
+            *out = around.iter().map(|&at| scratch[at as usize / corners]).sum();
+        }
+    }
+
+    fn energies<const S: usize>(&self, potential: &[f64], factors: &[f64], power: f64, out: &mut Vec<f64>) {
+        let r = power / (power - 1.0);
+        out.extend(factors.iter().enumerate().map(|(element, factor)| {
+            let square: f64 = self.slope::<S>(potential, element)[..S - 1].iter().map(|x| x * x).sum();
+            factor * if power == 2.0 { square } else { square.powf(0.5 * r) }
+        }));
+    }
+
+    /// Lowers a potential (intervals, nodes) slice by slice, from the first to the last, until
+    /// `n (φ_k - φ_{k-1}) + (h_k + h_{k-1}) / 2 <= limit_k` holds at every node with mass, h per unit area. `limit` (intervals, nodes) has the
+    /// slice between the intervals k - 1 and k at k; its first slice bounds `φ_0 + h_0 / (2 n)` itself where `bounded` says so.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if sizes do not fit.
+    pub fn repair(&self, potential: &[f64], weights: &[f64], limit: &[f64], bounded: bool, how: Repair, out: &mut [f64]) -> Result<()> {
+        let intervals = self.slices(potential.len())?;
+        self.expect("the limits", limit.len(), potential.len())?;
+        self.expect("the repaired potential", out.len(), potential.len())?;
+        let factors = self.conjugate_weights(weights, how.power)?;
+        let (nodes, n) = (self.nodes(), intervals as f64);
+        if nodes == 0 {
+            return Ok(());
+        }
+        let (mut scratch, mut h, mut before) = (Vec::new(), vec![0.0; nodes], vec![0.0; nodes]);
+        let (mut excess, mut spread) = (vec![0.0; nodes], vec![0.0; nodes]);
+        let components = self.grounds.len();
+        let mut shift = vec![0.0; components]; // of the slices so far, on each component
+        for k in 0..intervals {
+            let (done, rest) = out.split_at_mut(k * nodes);
+            let here = &mut rest[..nodes];
+            for ((here, given), &label) in here.iter_mut().zip(&potential[k * nodes..]).zip(&self.labels) {
+                *here = given - shift[label as usize];
+            }
+            if k == 0 && !bounded {
+                self.hamiltonian_slice(here, &factors, how.power, &mut scratch, &mut h);
+                for ((b, phi), (h, &mass)) in before.iter_mut().zip(&*here).zip(h.iter().zip(&self.mass)) {
+                    *b = phi - if mass > 0.0 { h / mass / (2.0 * n) } else { 0.0 };
+                }
+                continue;
+            }
+            // The bound: B = φ_{k-1} - h_{k-1} / 2n + limit / n; wanted is φ_k + h_k / 2n <= B.
+            let limit = &limit[k * nodes..(k + 1) * nodes];
+            if k == 0 {
+                before.copy_from_slice(limit);
+            } else {
+                before.iter_mut().zip(limit).for_each(|(b, limit)| *b += limit / n);
+            }
+            let mut best: Option<(f64, Vec<f64>, Vec<f64>)> = None;
+            for pass in 0..=how.passes {
+                self.hamiltonian_slice(here, &factors, how.power, &mut scratch, &mut h);
+                let mut most = vec![f64::NEG_INFINITY; components];
+                for (node, e) in excess.iter_mut().enumerate() {
+                    if self.mass[node] > 0.0 {
+                        *e = here[node] + h[node] / self.mass[node] / (2.0 * n) - before[node];
+                        let most = &mut most[self.labels[node] as usize];
+                        *most = most.max(*e);
+                    } else {
+                        *e = 0.0;
+                    }
+                }
+                let worst = most.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                if best.as_ref().is_none_or(|(least, _, _)| worst < *least) {
+                    best = Some((worst, here.to_vec(), most));
+                }
+                if pass == how.passes {
+                    break;
+                }
+                excess.iter_mut().for_each(|e| *e = e.max(0.0));
+                if how.dilated {
+                    self.around(&excess, &mut spread, |values| values.fold(0.0, f64::max));
+                    self.around(&spread, &mut excess, |values| {
+                        let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+                        sum / count
+                    });
+                }
+                here.iter_mut().zip(&excess).for_each(|(phi, e)| *phi -= how.share * e);
+            }
+            if let Some((_, kept, most)) = best {
+                let down: Vec<f64> = most.iter().map(|most| if most.is_finite() { *most } else { 0.0 }).collect();
+                for ((phi, kept), &label) in here.iter_mut().zip(&kept).zip(&self.labels) {
+                    *phi = kept - down[label as usize];
+                }
+                shift.iter_mut().zip(&down).for_each(|(shift, down)| *shift += down);
+            }
+            self.hamiltonian_slice(here, &factors, how.power, &mut scratch, &mut h);
+            for ((b, phi), (h, &mass)) in before.iter_mut().zip(&*here).zip(h.iter().zip(&self.mass)) {
+                *b = phi - if mass > 0.0 { h / mass / (2.0 * n) } else { 0.0 };
+            }
+            debug_assert_eq!(done.len(), k * nodes);
+        }
+        Ok(())
+    }
+
+    /// A function of the values at each node and its neighbours.
+    fn around(&self, values: &[f64], out: &mut [f64], f: impl Fn(&mut dyn Iterator<Item = f64>) -> f64) {
+        for (node, out) in out.iter_mut().enumerate() {
+            *out = f(&mut self.neighbours(node).iter().map(|&other| values[other as usize]));
+        }
+    }
+
+    /// Several repairs of the same potential side by side; see [`Domain::repair`].
+    ///
+    /// # Errors
+    /// As [`Domain::repair`].
+    pub fn repairs(
+        &self,
+        potential: &[f64],
+        weights: &[f64],
+        limit: &[f64],
+        bounded: bool,
+        ways: &[Repair],
+        out: &mut [f64],
+    ) -> Result<()> {
+        self.expect("the repaired potentials", out.len(), ways.len() * potential.len())?;
+        if potential.is_empty() {
+            return Ok(());
+        }
+        out.par_chunks_mut(potential.len()).zip(ways).try_for_each(|(out, &how)| self.repair(potential, weights, limit, bounded, how, out))
+    }
+}
