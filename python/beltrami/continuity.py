@@ -23,6 +23,7 @@ from .segment import _hats, _simplices
 from .shapes import Shape, TriangleMesh
 from .solvers import PoissonSolver
 
+END = 2.0  # times the number of intervals: what a free end weighs in the projection
 NONNEGATIVE = 0.3  # κ: weight of the vertices' own block, which keeps the density from being negative and holds the costs
 RELAXATION = 1.8
 MEMORY = 2e9  # bytes of factors, by default
@@ -152,7 +153,7 @@ class _InUnits(Cost):
 class Model:
     """The problem without units: lengths in ``unit`` times the root of the area."""
 
-    def __init__(self, problem: Problem, intervals: int, unit: float) -> None:
+    def __init__(self, problem: Problem, intervals: int, unit: float, end_weight: float | None = None) -> None:
         surface = self.surface = problem.surface
         self.problem, self.n, self.unit = problem, intervals, unit
         self.power = problem.lagrangian.exponent
@@ -173,11 +174,13 @@ class Model:
             parts = [0.5 * self.running] if self.running else []
             parts += [float(intervals) * terminal] if terminal else []
             self.last = None if not parts else parts[0] if len(parts) == 1 else parts[0] + parts[1]
+        # of the last slice in the projection, where it is free: as if it were a unit of time long
+        self.end_weight = END * intervals if end_weight is None else end_weight
         self.last_slice = intervals if self.end is None else intervals - 1  # the last that is free
 
     @cached_property
     def projection(self) -> _core.SpaceTime:
-        return _core.SpaceTime(self.domain, self.n, self.end is None, 1.0, self.problem.memory)
+        return _core.SpaceTime(self.domain, self.n, self.end_weight if self.end is None else None, 1.0, self.problem.memory)
 
     # --- spaces -------------------------------------------------------------------------------------------------------------------
 
@@ -217,6 +220,7 @@ class Model:
         out = np.zeros((self.n + 1, self.surface.count))
         out[:-1] = 0.5 * mean
         out[1:] += 0.5 * mean
+        out[-1] /= self.end_weight
         return np.divide(out, self.mass, out=out, where=self.mass > 0)
 
     def project(self, density: Floats, momentum_flux: Floats) -> tuple[Floats, Floats]:
@@ -227,7 +231,7 @@ class Model:
         moved = density.copy()
         moved[1:-1] += self.n * np.diff(psi, axis=0)
         if self.end is None:
-            moved[-1] -= self.n * psi[-1]
+            moved[-1] -= self.n / self.end_weight * psi[-1]
         moved[:, self.mass == 0] = density[:, self.mass == 0]
         return moved, psi
 
@@ -254,13 +258,14 @@ class Model:
             total += float(self.last.value(density[-1:])[0] @ self.mass) / self.n
         return total
 
-    def prox(self, density: Floats, step: float) -> Floats:
+    def prox(self, density: Floats, step: Floats) -> Floats:
         """Of the running and terminal costs and of ρ >= 0, on the slices that are free (from the first after the start)."""
-        inner = density[: self.n - 1]
-        out = np.empty_like(density)
-        out[: self.n - 1] = np.maximum(inner, 0.0) if self.running is None else self.running.prox(inner, step)
-        if self.end is None:
-            out[-1] = np.maximum(density[-1], 0.0) if self.last is None else self.last.prox(density[-1:], step)[0]
+        inner = self.n - 1
+        out = np.maximum(density, 0.0)
+        if self.running is not None and inner:
+            out[:inner] = self.running.prox(density[:inner], float(step[0, 0]))
+        if self.last is not None:
+            out[-1] = self.last.prox(density[-1:], float(step[-1, 0]) / self.end_weight)[0]
         return out
 
     # --- the bound from below -----------------------------------------------------------------------------------------------------
@@ -295,7 +300,8 @@ class Model:
         height = potential[-1] - h[-1] / (2 * self.n) + (0.0 if last is None else last)
         least = np.full(self.surface.components, np.inf)
         there = self.mass > 0
-        np.minimum.at(least, self.surface.labels[there], height[there])
+        with np.errstate(invalid="ignore"):
+            np.minimum.at(least, self.surface.labels[there], height[there])
         return float(self.masses[0] @ np.where(np.isfinite(least), least, 0.0))
 
     def linear_bound(self, potential: Floats, density: Floats) -> tuple[float, Floats]:
@@ -415,7 +421,9 @@ class Model:
             return [density.copy()]
         negative = np.maximum(-free, 0.0)
         typical = float(self.masses.sum())  # of unit area: the mean density
-        found = []
+        t = np.linspace(0, 1, self.n + 1)[1 : self.last_slice + 1, None]
+        thin = (4 * t * (1 - t)) ** 2 if self.end is not None else np.ones_like(t)  # at first it has little time to spread
+        found = [np.maximum(free - 2 * negative.max(axis=1, keepdims=True), 0.0) + 1e-5 * typical * thin]
         if not negative.any():
             found.append(free.copy())
         else:
@@ -428,7 +436,6 @@ class Model:
             with np.errstate(invalid="ignore"):
                 damped = np.where(clipped > 0, clipped * clipped / np.maximum(clipped + beside, 1e-300), 0.0)
             found.append(damped + 1e-4 * typical)
-            found.append(np.maximum(free - 2 * negative.max(axis=1, keepdims=True), 0.0) + 1e-5 * typical)
         out = []
         for slices in found:
             path = density.copy()
@@ -508,10 +515,15 @@ class Splitting:
     """Primal-dual splitting (Chambolle and Pock) with the exact projection on the continuity equation on one side, the exact
     projection of the perspective function on the other, and a block of the vertices for ρ >= 0 and the costs of being somewhere."""
 
-    def __init__(self, model: Model, *, ratio: float = 0.25, start: Splitting | None = None) -> None:
+    def __init__(self, model: Model, *, start: Splitting | None = None) -> None:
         self.model = model
         q = model.density / model.problem.mass  # how much denser than the mean the mass is
-        self.tau, self.sigma = np.sqrt(1 / (ratio * q * (1 + NONNEGATIVE**2))), np.sqrt(ratio * q / (1 + NONNEGATIVE**2))
+        stiff = model.running is not None and model.running.superlinear
+        kappa, ratio = (1.0, q) if stiff else (NONNEGATIVE, 0.25 * q)  # the ratio of the dual to the primal step
+        self.tau, self.sigma = float(np.sqrt(1 / (ratio * (1 + kappa**2)))), float(np.sqrt(ratio / (1 + kappa**2)))
+        self.kappa = np.full((model.last_slice, 1), kappa)  # of the slices that are free
+        if model.end is None:
+            self.kappa[-1] = 1.0  # the average's part of the norm is small there
         if start is None:
             self.density, self.momentum = model.line(), model.momentum()
             self.dual_density = np.zeros((model.n, model.elements))
@@ -531,7 +543,8 @@ class Splitting:
         """Half an iteration: the projection. Returns ``2 P' - P`` of the slices that are free."""
         model, tau = self.model, self.tau
         mean, flux = model.gather(self.dual_density, self.momentum, self.dual_momentum, tau)
-        pull = model.at_nodes(mean) + NONNEGATIVE * self.dual_vertex
+        pull = model.at_nodes(mean)
+        pull[1 : model.last_slice + 1] += self.kappa * self.dual_vertex[1 : model.last_slice + 1]
         pull[0] = 0
         if model.end is not None:
             pull[-1] = 0
@@ -541,7 +554,7 @@ class Splitting:
     def finish(self, vertex: Floats) -> None:
         """The other half: dual steps, ``vertex`` being the new dual of the vertices, and over-relaxation."""
         model = self.model
-        steps = (float(self.tau), float(self.sigma), RELAXATION, model.power)
+        steps = (self.tau, self.sigma, RELAXATION, model.power)
         model.domain.step(
             steps, model.weights, self.density, self.after, self.psi, self.momentum, self.dual_density, self.dual_momentum
         )
@@ -554,9 +567,9 @@ class Splitting:
         self.finish(self.vertex_dual(ahead))
 
     def vertex_dual(self, ahead: Floats) -> Floats:
-        model, scale = self.model, self.sigma * NONNEGATIVE
+        model, scale = self.model, self.sigma * self.kappa
         v = self.dual_vertex[1 : model.last_slice + 1] + scale * ahead
-        return v - scale * model.prox(v / scale, 1 / (scale * NONNEGATIVE)) if v.size else v
+        return v - scale * model.prox(v / scale, 1 / (scale * self.kappa)) if v.size else v
 
     def state(self) -> Iterate:
         """The densities as projected, with a momentum that moves them."""
@@ -567,11 +580,12 @@ class Gradient:
     """The chapter's Algorithm 2: a gradient step and the projection on the continuity equation, accelerated (FISTA), with backtracking
     that also lengthens the step and a restart whenever the acceleration points uphill. For densities bounded away from zero."""
 
-    FLOOR = 1e-3  # of the mean density
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self.floor = self.FLOOR * model.problem.mass / model.density
+        ends = [model.start] if model.end is None else [model.start, model.end]
+        least = min(float(end[model.mass > 0].min()) for end in ends)
+        self.floor = max((0.5 if model.end is not None else 0.1) * least, 1e-3 * model.problem.mass / model.density)
         self.density = model.line()
         self.momentum = model.corrected(self.density, model.momentum())
         self.behind = (self.density, self.momentum)
@@ -582,7 +596,7 @@ class Gradient:
         rho = np.maximum(model.densities(density), self.floor)
         square = model.squares(momentum)
         moving = float(((square ** (q / 2) * rho ** (1 - q)) @ (model.surface.areas * model.weights)).sum()) / (q * model.n)
-        return moving + model.standing(np.maximum(density, 0.0))
+        return moving + model.standing(np.maximum(density, self.floor))
 
     def slope(self, density: Floats, momentum: Floats) -> tuple[Floats, Floats]:
         """Gradient of the objective in the inner products of the two spaces."""
@@ -596,9 +610,9 @@ class Gradient:
         by_momentum = momentum * np.repeat(factor, model.surface.dimension, axis=1)
         out = model.at_nodes(model.gather(by_density, momentum, momentum, 0.0)[0])
         if model.running is not None:
-            out[1:-1] += model.running.derivative(np.maximum(density[1:-1], 0.0))
+            out[1:-1] += model.running.derivative(np.maximum(density[1:-1], self.floor))
         if model.last is not None:
-            out[-1] += model.last.derivative(np.maximum(density[-1:], 0.0))[0]
+            out[-1] += model.last.derivative(np.maximum(density[-1:], self.floor))[0] / model.end_weight
         out[0] = 0
         if model.end is not None:
             out[-1] = 0
@@ -613,20 +627,22 @@ class Gradient:
         here, (slope_p, slope_m) = self.value(p, m), self.slope(p, m)
         self.step *= 1.3
         zero = np.zeros((model.n, model.elements))
-        measure = np.repeat(model.surface.areas, model.surface.dimension)
+        measure, slices = np.repeat(model.surface.areas, model.surface.dimension), np.ones(model.n + 1)
+        slices[-1] = 1.0 if model.end is not None else model.end_weight
         while True:
             eta = self.step
             flux = model.gather(zero, m, slope_m, eta)[1]
             moved, psi = model.project(p - eta * slope_p, flux)
             momentum = m - eta * slope_m + model.gradients(psi)
             dp, dm = moved - p, momentum - m
-            linear = float((slope_p * dp) @ model.mass @ np.ones(model.n + 1)) + float(((slope_m * dm) @ measure).sum())
-            size = float((np.square(dp) @ model.mass).sum() + (np.square(dm) @ measure).sum())
+            linear = float(slices @ ((slope_p * dp) @ model.mass)) + float(((slope_m * dm) @ measure).sum())
+            size = float(slices @ (np.square(dp) @ model.mass) + (np.square(dm) @ measure).sum())
             there = self.value(moved, momentum)
             if there <= here + (linear + 0.5 * size / eta) / model.n + 1e-13 * abs(here) or eta < 1e-9:
                 break
             self.step *= 0.5
-        uphill = float(((p - moved) * (moved - self.density) @ model.mass).sum() + (((m - momentum) * (momentum - self.momentum)) @ measure).sum())
+        uphill = float(slices @ (((p - moved) * (moved - self.density)) @ model.mass))
+        uphill += float((((m - momentum) * (momentum - self.momentum)) @ measure).sum())
         self.behind = (self.density, self.momentum)
         self.density, self.momentum, self.psi, self.t = moved, momentum, psi / eta, t
         if uphill > 0:
@@ -669,7 +685,7 @@ class Certificate:
             momentum = model.corrected(path, state.momentum)
             found.append((model.kinetic(path, momentum) + model.standing(path), path, momentum))
         found.sort(key=lambda item: item[0])
-        if found[0][0] < self.upper:
+        if found[0][0] < self.upper or self.density is None:
             self.upper, self.density, self.momentum = found[0]
         assert self.density is not None
         lower, proof = model.bound(np.ascontiguousarray(state.potential), self.density)
@@ -717,7 +733,7 @@ COARSE = 30  # iterations with each of them
 def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Callable[[float, float], None]) -> tuple[Certificate, int]:
     """Iterates until the certified gap is below the tolerance, or ``most`` times."""
     unit = travel(problem)
-    model = Model(problem, problem.intervals, unit)
+    model = Model(problem, problem.intervals, unit, 1.0 if method == "projected_gradient" else None)
     certificate = Certificate(model)
     line = model.line()
     if problem.end is not None:

@@ -166,19 +166,21 @@ def mean_field_game(
             _within(surface, end, "density1", running.upper)
     problem = Problem(surface, start, end, arrays.whole(intervals, "intervals", 1), lagrangian, running, terminal, limit)
     certificate, iterations = continuity.solve(problem, method, wished, most, _Watch(progress, "game", wished))
-    fields, objective = flow_fields(problem, certificate, iterations, wished)
+    fields, value = flow_fields(problem, certificate, iterations, wished)
     model, density = certificate.model, fields["density"]
     values = [] if running is None else list(running.value(density) @ surface.mass * surface.total)
     running_value = float(sum(values[1:-1]) + 0.5 * (values[0] + values[-1])) / model.n if values else 0.0
     terminal_value = 0.0 if terminal is None else float(terminal.value(density[-1:])[0] @ surface.mass) * surface.total
     assert certificate.momentum is not None and certificate.potential is not None and certificate.last is not None
     moving = model.kinetic(density / model.density, certificate.momentum)
+    kinetic = value - model.standing(density / model.density) * model.value_unit if running or terminal else value
+    objective = kinetic + running_value + terminal_value
     gain = model.gain(density / model.density, certificate.momentum, [certificate.last, certificate.potential])
-    size = max(abs(objective) / model.value_unit, moving, 1e-14)
+    size = max(abs(value) / model.value_unit, moving, 1e-14)
     return MeanFieldGameResult(
         **fields,
         objective=objective,
-        kinetic=moving * model.value_unit,
+        kinetic=kinetic,
         running=running_value,
         terminal=terminal_value,
         exploitability=max(gain, 0.0) / size,

@@ -9,12 +9,13 @@ use std::f64::consts::PI;
 use std::sync::Mutex;
 
 /// Whether the last density is given.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Ends {
     /// Both densities are given.
     Fixed,
-    /// Only the first one is.
-    Free,
+    /// Only the first one is, and the last one weighs so many times as much as those between, at least as much: a weight as large as
+    /// the number of intervals makes costs of the end as easy to reach as those of a unit of time.
+    Free(f64),
 }
 
 const ITERATIONS: usize = 400;
@@ -22,7 +23,7 @@ const TOLERANCE: f64 = 1e-13;
 
 /// Solves `(n^2 T ⊗ diag(m) + s I ⊗ L) ψ = b` over n intervals, T the second difference in time.
 ///
-/// T is diagonalized by cosines, for fixed and for free ends, and each mode has a sparse factor of `λ diag(m) + s L`; all share one
+/// T is diagonalized by cosines, for given and for free ends, and each mode has a sparse factor of `λ diag(m) + s L`; all share one
 /// analysis and are made and used in parallel. Where that many factors do not fit into the memory allowed, modes share factors:
 /// each of the others is solved by conjugate gradients, preconditioned by the factor of the mode nearest to it, which bounds the
 /// condition number by the ratio of their two λ.
@@ -50,13 +51,30 @@ impl SpaceTime {
         if intervals == 0 || !(scale > 0.0 && scale.is_finite()) {
             return Err(Error::input(format!("{intervals} intervals with the scale {scale}; both must be positive")));
         }
-        let n = intervals as f64;
+        // cos(θ (k + 1/2)) satisfies the equation inside and at the start; at the end it must be `kept` times its last value.
+        let (n, kept) = match ends {
+            Ends::Fixed => (intervals as f64, 1.0),
+            Ends::Free(weight) if weight >= 1.0 && weight.is_finite() => (intervals as f64, 1.0 - 1.0 / weight),
+            Ends::Free(weight) => return Err(Error::input(format!("the last slice weighs {weight}; it must weigh at least 1"))),
+        };
         let (mut modes, mut shifts) = (Vec::with_capacity(intervals * intervals), Vec::with_capacity(intervals));
         for q in 0..intervals {
-            let angle = match ends {
-                Ends::Fixed => PI * q as f64 / n,
-                Ends::Free => PI * (2 * q + 1) as f64 / (2.0 * n + 1.0),
-            };
+            // between the modes of given ends and those of an end of weight 1
+            let (mut low, mut high) = (PI * q as f64 / n, PI * (2 * q + 1) as f64 / (2.0 * n + 1.0));
+            if ends == Ends::Fixed {
+                high = low;
+            }
+            let sign = if q % 2 == 0 { 1.0 } else { -1.0 };
+            for _ in 0..80 {
+                let middle = 0.5 * (low + high);
+                let value = (middle * (n + 0.5)).cos() - kept * (middle * (n - 0.5)).cos();
+                if sign * value > 0.0 {
+                    low = middle;
+                } else {
+                    high = middle;
+                }
+            }
+            let angle = if ends == Ends::Fixed { PI * q as f64 / n } else { high };
             let row: Vec<f64> = (0..intervals).map(|k| (angle * (k as f64 + 0.5)).cos()).collect();
             let norm = row.iter().map(|x| x * x).sum::<f64>().sqrt();
             modes.extend(row.iter().map(|x| x / norm));
@@ -266,7 +284,7 @@ mod tests {
     #[test]
     fn solves_the_difference_equation() {
         let domain = square();
-        for ends in [Ends::Fixed, Ends::Free] {
+        for ends in [Ends::Fixed, Ends::Free(1.0), Ends::Free(7.5)] {
             for memory in [1e9, 0.0] {
                 let (n, nodes) = (7, 4);
                 let solver = SpaceTime::new(&domain, n, ends, 0.7, memory, &Control::default()).unwrap();
@@ -287,7 +305,7 @@ mod tests {
                         let after = match ends {
                             _ if k + 1 < n => x[(k + 1) * nodes + i],
                             Ends::Fixed => here,
-                            Ends::Free => 0.0,
+                            Ends::Free(weight) => (1.0 - 1.0 / weight) * here,
                         };
                         let value = (n * n) as f64 * (2.0 * here - before - after) * domain.mass[i] + rows[i];
                         assert!((value - b[k * nodes + i]).abs() < 1e-11, "{ends:?} {k} {i}: {value} {}", b[k * nodes + i]);

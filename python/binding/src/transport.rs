@@ -143,8 +143,8 @@ pub struct SpaceTime {
 #[pymethods]
 impl SpaceTime {
     #[new]
-    fn new(py: Python<'_>, domain: &TransportDomain, intervals: usize, free: bool, scale: f64, memory: f64) -> PyResult<Self> {
-        let (domain, ends) = (domain.domain.clone(), if free { Ends::Free } else { Ends::Fixed });
+    fn new(py: Python<'_>, domain: &TransportDomain, intervals: usize, end: Option<f64>, scale: f64, memory: f64) -> PyResult<Self> {
+        let (domain, ends) = (domain.domain.clone(), end.map_or(Ends::Fixed, Ends::Free));
         let solver = run::watched(py, None, |control| transport::SpaceTime::new(&domain, intervals, ends, scale, memory, control))?;
         Ok(SpaceTime { domain, solver })
     }
