@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from . import examples, shapes
-from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
 from . import costs, examples, shapes
+from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
@@ -115,6 +114,6 @@ __all__ = [
     "solve_poisson",
     "spherical_map",
     "transfer",
-    "wks",
     "transport",
+    "wks",
 ]

@@ -72,13 +72,15 @@ class Surface:
     def largest(self, values: Floats) -> Floats:
         """The largest value on a vertex and its neighbours, of each slice (k, n)."""
         pattern = self.average
-        return np.maximum.reduceat(values[:, pattern.indices], pattern.indptr[:-1], axis=1)
+        found: Floats = np.maximum.reduceat(values[:, pattern.indices], pattern.indptr[:-1], axis=1)
+        return found
 
     def sums(self, integrals: Floats) -> Floats:
         """(k, n) -> (k, components)."""
         if self.components == 1:
-            return integrals.sum(axis=1, keepdims=True)
-        return np.stack([np.bincount(self.labels, row, self.components) for row in integrals])
+            total: Floats = integrals.sum(axis=1, keepdims=True)
+            return total
+        return np.stack([np.bincount(self.labels, row, self.components) for row in integrals]).astype(np.float64)
 
     def with_mass(self, density: Floats, masses: Floats) -> Floats:
         """Each slice scaled so that every component has its mass."""
@@ -213,7 +215,8 @@ class Model:
 
     def squares(self, momentum: Floats) -> Floats:
         """|M|² on each element."""
-        return np.square(momentum.reshape(self.n, self.elements, -1)).sum(2)
+        squares: Floats = np.square(momentum.reshape(self.n, self.elements, -1)).sum(2)
+        return squares
 
     def at_nodes(self, mean: Floats) -> Floats:
         """What the intervals' nodal integrals give to the slices between them, per unit mass: the adjoint of the average."""
@@ -470,7 +473,8 @@ class Model:
             middle = 0.5 * (low + high)
             room = self.surface.sums(np.minimum(slices * middle[:, labels], upper) * self.mass) < self.masses
             low, high = np.where(room, middle, low), np.where(room, high, middle)
-        return np.minimum(slices * high[:, labels], upper)
+        within: Floats = np.minimum(slices * high[:, labels], upper)
+        return within
 
     def rate(self, density: Floats) -> Floats:
         """The mass that comes to each vertex a unit of time."""
@@ -555,9 +559,7 @@ class Splitting:
         """The other half: dual steps, ``vertex`` being the new dual of the vertices, and over-relaxation."""
         model = self.model
         steps = (self.tau, self.sigma, RELAXATION, model.power)
-        model.domain.step(
-            steps, model.weights, self.density, self.after, self.psi, self.momentum, self.dual_density, self.dual_momentum
-        )
+        model.domain.step(steps, model.weights, self.density, self.after, self.psi, self.momentum, self.dual_density, self.dual_momentum)
         free = slice(1, model.last_slice + 1)
         self.dual_vertex[free] += RELAXATION * (vertex - self.dual_vertex[free])
         self.density = self.density + RELAXATION * (self.after - self.density)
@@ -580,7 +582,6 @@ class Gradient:
     """The chapter's Algorithm 2: a gradient step and the projection on the continuity equation, accelerated (FISTA), with backtracking
     that also lengthens the step and a restart whenever the acceleration points uphill. For densities bounded away from zero."""
 
-
     def __init__(self, model: Model) -> None:
         self.model = model
         ends = [model.start] if model.end is None else [model.start, model.end]
@@ -596,7 +597,25 @@ class Gradient:
         rho = np.maximum(model.densities(density), self.floor)
         square = model.squares(momentum)
         moving = float(((square ** (q / 2) * rho ** (1 - q)) @ (model.surface.areas * model.weights)).sum()) / (q * model.n)
-        return moving + model.standing(np.maximum(density, self.floor))
+        return moving + sum(share * float(self.extended(cost, density[k : k + 1])[0][0] @ model.mass) for cost, k, share in self.costs())
+
+    def costs(self) -> list[tuple[Cost, int, float]]:
+        """The costs of being somewhere: of which slice, and with which share of time."""
+        model = self.model
+        found: list[tuple[Cost, int, float]] = []
+        if model.running is not None:
+            found += [(model.running, k, 1 / model.n) for k in range(1, model.n)]
+        if model.last is not None:
+            found.append((model.last, model.n, 1 / model.n))
+        return found
+
+    def extended(self, cost: Cost, density: Floats) -> tuple[Floats, Floats]:
+        """Value and derivative, continued below the floor by a parabola, so that logarithms do not hold the steps down."""
+        kept = np.maximum(density, self.floor)
+        below = density - kept
+        slope = cost.derivative(kept)
+        bend = (cost.derivative(1.5 * kept) - slope) / (0.5 * kept)
+        return cost.value(kept) + below * (slope + 0.5 * bend * below), slope + bend * below
 
     def slope(self, density: Floats, momentum: Floats) -> tuple[Floats, Floats]:
         """Gradient of the objective in the inner products of the two spaces."""
@@ -609,10 +628,8 @@ class Gradient:
         by_density = np.where(rho > self.floor, model.weights * (1 - q) / q * square ** (q / 2) * floored ** (-q), 0.0)
         by_momentum = momentum * np.repeat(factor, model.surface.dimension, axis=1)
         out = model.at_nodes(model.gather(by_density, momentum, momentum, 0.0)[0])
-        if model.running is not None:
-            out[1:-1] += model.running.derivative(np.maximum(density[1:-1], self.floor))
-        if model.last is not None:
-            out[-1] += model.last.derivative(np.maximum(density[-1:], self.floor))[0] / model.end_weight
+        for cost, k, _ in self.costs():
+            out[k] += self.extended(cost, density[k : k + 1])[1][0] / (model.end_weight if k == model.n else 1.0)
         out[0] = 0
         if model.end is not None:
             out[-1] = 0
@@ -652,6 +669,10 @@ class Gradient:
         return Iterate(self.density, self.momentum, self.psi)
 
 
+def _nothing() -> Floats:
+    return np.zeros((0, 0))
+
+
 @dataclass
 class Certificate:
     """The best path so far and the best bound, in units of the model."""
@@ -659,10 +680,10 @@ class Certificate:
     model: Model
     upper: float = np.inf
     lower: float = -np.inf
-    density: Floats | None = None
-    momentum: Floats | None = None
-    potential: Floats | None = None
-    last: Floats | None = None
+    density: Floats = field(default_factory=_nothing)
+    momentum: Floats = field(default_factory=_nothing)
+    potential: Floats = field(default_factory=_nothing)
+    last: Floats = field(default_factory=_nothing)  # potential that was looked at last, as the iteration left it
     history: list[tuple[int, float, float, float]] = field(default_factory=list)
 
     @property
@@ -685,11 +706,10 @@ class Certificate:
             momentum = model.corrected(path, state.momentum)
             found.append((model.kinetic(path, momentum) + model.standing(path), path, momentum))
         found.sort(key=lambda item: item[0])
-        if found[0][0] < self.upper or self.density is None:
+        if found[0][0] < self.upper or self.density.size == 0:
             self.upper, self.density, self.momentum = found[0]
-        assert self.density is not None
         lower, proof = model.bound(np.ascontiguousarray(state.potential), self.density)
-        if lower > self.lower or self.potential is None:
+        if lower > self.lower or self.potential.size == 0:
             self.lower, self.potential = max(lower, self.lower), proof
         if self.gap > tolerance:
             for _, path, _ in found:
@@ -715,7 +735,6 @@ def travel(problem: Problem, iterations: int = 40) -> float:
         run.iterate()
     found = Certificate(model)
     found.look(run.state(), iterations, 0.0)
-    assert found.density is not None and found.momentum is not None
     q = model.power
     if model.running is None and model.last is None:
         energy = float(np.sqrt(max(found.upper, 0.0) * max(found.lower, 0.05 * found.upper, 0.0)))

@@ -32,7 +32,7 @@ _HALVINGS = 80  # of a bracket around the root of a monotone function: to the la
 
 @dataclass(frozen=True, eq=False)
 class Lagrangian:
-    """``weight |p|^exponent / exponent``: what moving at velocity p costs a unit of mass and time. Made by :func:`kinetic` and :func:`power`.
+    """``weight |p|^exponent / exponent``: what moving at velocity p costs a unit of mass and time; see :func:`kinetic`, :func:`power`.
 
     Attributes
     ----------
@@ -345,7 +345,8 @@ class _Entropy(Cost):
         from scipy.special import wrightomega  # ω + log ω = z
 
         scale = step * self.weight
-        return scale * np.real(wrightomega(density / scale + np.log(self.target / scale)))
+        found: Floats = scale * np.real(wrightomega(density / scale + np.log(self.target / scale)))
+        return found
 
     def maximizer(self, slope: Floats) -> Floats:
         return self.target * np.exp(np.minimum(slope / self.weight, 600.0))
@@ -569,7 +570,9 @@ def _answer(answer: Any, density: Floats, name: str) -> Floats:
         raise InputError(f"the {name} of a custom cost came back as {answer!r:.60}; an array of shape {density.shape} is needed") from None
 
 
-def custom(value: Callable[[Floats], Any], derivative: Callable[[Floats], Any], *, prox: Callable[[Floats, float], Any] | None = None) -> Cost:
+def custom(
+    value: Callable[[Floats], Any], derivative: Callable[[Floats], Any], *, prox: Callable[[Floats, float], Any] | None = None
+) -> Cost:
     """Any convex function of the density.
 
     Parameters

@@ -64,7 +64,7 @@ def _within(surface: Surface, density: Floats, name: str, limit: object) -> None
     over = density - np.asarray(limit) > 1e-12 * density.max()
     if over.any():
         where = int(np.argmax(density - np.asarray(limit)))
-        raise InputError(f"{name}[{where}] is {density[where]:g}, above the largest density allowed there; raise the cap or spread the mass")
+        raise InputError(f"{name}[{where}] is {density[where]:g}, above the cap; raise the cap or spread the mass")
 
 
 def mean_field_game(
@@ -159,7 +159,8 @@ def mean_field_game(
         room = surface.sums((np.broadcast_to(np.asarray(cost.upper, float), start.shape) * surface.mass)[None])[0]
         needed = surface.sums((start * surface.mass)[None])[0]
         if (room < needed * (1 + 1e-9)).any():
-            raise InputError(f"the density cap leaves room for {room.sum() * surface.total:.6g}, the mass is {needed.sum() * surface.total:.6g}")
+            there, mass = room.sum() * surface.total, needed.sum() * surface.total
+            raise InputError(f"the density cap leaves room for a mass of {there:.6g}, there is {mass:.6g}; raise the cap")
     if running is not None:
         _within(surface, start, "density0", running.upper)
         if end is not None:
@@ -171,7 +172,6 @@ def mean_field_game(
     values = [] if running is None else list(running.value(density) @ surface.mass * surface.total)
     running_value = float(sum(values[1:-1]) + 0.5 * (values[0] + values[-1])) / model.n if values else 0.0
     terminal_value = 0.0 if terminal is None else float(terminal.value(density[-1:])[0] @ surface.mass) * surface.total
-    assert certificate.momentum is not None and certificate.potential is not None and certificate.last is not None
     moving = model.kinetic(density / model.density, certificate.momentum)
     kinetic = value - model.standing(density / model.density) * model.value_unit if running or terminal else value
     objective = kinetic + running_value + terminal_value

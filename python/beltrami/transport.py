@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from . import arrays, continuity
 from .arrays import Floats
-from .continuity import MEMORY, Certificate, Model, Problem, Surface
+from .continuity import MEMORY, Certificate, Problem, Surface
 from .costs import Lagrangian
 from .errors import InputError
 from .operators import Operators
@@ -139,8 +139,10 @@ class Flow:
         before = min(int(time * self.intervals), self.intervals - 1)
         part = time * self.intervals - before
         if part in (0.0, 1.0):
-            return self.density[before + int(part)].copy()
-        return (1 - part) * self.density[before] + part * self.density[before + 1]
+            there: Floats = self.density[before + int(part)].copy()
+            return there
+        between: Floats = (1 - part) * self.density[before] + part * self.density[before + 1]
+        return between
 
     @cached_property
     def velocity(self) -> Floats:
@@ -148,7 +150,8 @@ class Flow:
         rho = self.density[:, self.corners].mean(axis=2)
         rho = 0.5 * (rho[1:] + rho[:-1])
         least = 1e-12 * rho.max(initial=0.0)
-        return np.divide(self.momentum, rho[..., None], out=np.zeros_like(self.momentum), where=rho[..., None] > least)
+        v: Floats = np.divide(self.momentum, rho[..., None], out=np.zeros_like(self.momentum), where=rho[..., None] > least)
+        return v
 
     def particle_paths(self, points: npt.ArrayLike, *, substeps: int = 4) -> Floats:
         """Where particles go: streamlines on the surface.
@@ -192,7 +195,8 @@ class Flow:
                 nodal[k, :, d] = np.divide(flow, total, out=np.zeros_like(flow), where=total > 0)
 
         def at(table: Floats, places: Any) -> Floats:
-            return np.einsum("kc,kcd->kd", places.barycentric, table[mesh.faces[places.faces]])
+            v: Floats = np.einsum("kc,kcd->kd", places.barycentric, table[mesh.faces[places.faces]])
+            return v
 
         places = closest_points(mesh, here)
         out = [places.points]
@@ -269,7 +273,6 @@ class TransportResult(Flow):
 def flow_fields(problem: Problem, certificate: Certificate, iterations: int, tolerance: float) -> tuple[dict[str, Any], float]:
     """What a :class:`Flow` is made of, in the user's units, and its objective."""
     model, surface = certificate.model, problem.surface
-    assert certificate.density is not None and certificate.momentum is not None and certificate.potential is not None
     density = certificate.density * model.density
     density[0] = problem.start
     if problem.end is not None:
@@ -285,7 +288,8 @@ def flow_fields(problem: Problem, certificate: Certificate, iterations: int, tol
     local = momentum.reshape(model.n, model.elements, -1) * (model.density * model.speed)
     steps = [np.array(column) for column in zip(*certificate.history, strict=True)]
     names = ("iteration", "objective", "lower_bound", "gap")
-    history = {name: column * (model.value_unit if name in ("objective", "lower_bound") else 1) for name, column in zip(names, steps, strict=True)}
+    units = (1.0, model.value_unit, model.value_unit, 1.0)
+    history = {name: column * unit for name, column, unit in zip(names, steps, units, strict=True)}
     scale = max(abs(objective), abs(certificate.lower), 1e-14)
     lower = min(certificate.lower, objective)
     gap = (objective - lower) / scale
