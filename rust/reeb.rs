@@ -360,7 +360,7 @@ mod tests {
 
     #[test]
     fn a_torus_on_its_side_has_one_loop() {
-        let mesh = make::torus([1.0, 0.3], 40, 60).unwrap();
+        let mesh = make::torus(1.0, 0.3, 60, 40).unwrap();
         let values: Vec<f64> =
             (0..mesh.vertex_count()).map(|vertex| mesh.vertex(vertex as u32)[0] + 1e-3 * mesh.vertex(vertex as u32)[1]).collect();
         for size in [2, 3] {

@@ -863,9 +863,9 @@ def _center(drawing: _Drawing, section: _Section | None, noisy: bool, rounds: in
                 continue
             start = smooth if noisy else x
             distances, u, v = section(start[free], tangents[free], widths[free], chain)
-            typical = np.asarray(np.nanmedian(np.where(np.isnan(distances).all(1)[:, None], 0.0, distances), axis=1))
-            share = np.isnan(distances).mean(1)
-            good = (share < 0.4) & (typical > 0)
+            absent = np.isnan(distances).sum(1) / DIRECTIONS
+            typical = np.asarray(np.nanmedian(np.where((absent == 1)[:, None], 0.0, distances), axis=1))
+            good: npt.NDArray[np.bool_] = (absent < 0.4) & (typical > 0)
             bounded = np.minimum(distances, 2.2 * typical[:, None])
             bounded = np.where(np.isnan(bounded), typical[:, None], bounded)
             turn = section.turn
