@@ -28,6 +28,7 @@ from .maps import MapEvaluation, evaluate_map, functional_map_of, point_map_of, 
 from .moebius import Moebius
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
+from .register import RegistrationCandidate, RegistrationResult, register
 from .sampling import farthest_points, poisson_disc
 from .segment import DenoisingResult, SegmentationResult, contours, denoise, segment, segment_path
 from .shapes import PointCloud, TriangleMesh
@@ -66,6 +67,8 @@ __all__ = [
     "PointCloud",
     "PoissonSolver",
     "RayHitsResult",
+    "RegistrationCandidate",
+    "RegistrationResult",
     "RotationInvariantSlicedWassersteinResult",
     "SegmentationResult",
     "SkeletonResult",
@@ -102,6 +105,7 @@ __all__ = [
     "point_map_of",
     "poisson_disc",
     "register_conformal",
+    "register",
     "rotation_invariant_sliced_wasserstein",
     "save",
     "segment",

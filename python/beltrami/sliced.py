@@ -186,14 +186,14 @@ def _polar(cross: Floats) -> Floats:
 
 
 @dataclass
-class _Run:
+class Run:
     rotation: Floats
     value: float = np.inf
     history: list[float] = field(default_factory=list)
     converged: bool = False
 
 
-def _alternate(alignment: _core.SlicedAlignment, runs: list[_Run], steps: int, tolerance: float) -> list[_Run]:
+def alternate(alignment: _core.SlicedAlignment, runs: list[Run], steps: int, tolerance: float) -> list[Run]:
     """Couplings, then the rotation that is best for them, and again; several runs at a time, each from where it is.
 
     With directions in orthonormal blocks a step never makes the value larger but by rounding. Steps are lengthened (Nesterov's
@@ -265,9 +265,9 @@ def _sample(points: Floats, weights: Floats | None, seed: int) -> tuple[Floats, 
     return np.ascontiguousarray(points[chosen]), part
 
 
-def _distinct(runs: list[_Run], most: int) -> list[_Run]:
+def _distinct(runs: list[Run], most: int) -> list[Run]:
     """The best runs, without those that ended in the same place."""
-    kept: list[_Run] = []
+    kept: list[Run] = []
     for run in sorted(runs, key=lambda run: run.value):
         if len(kept) < most and all(abs(run.rotation - other.rotation).max() > 1e-3 for other in kept):
             kept.append(run)
@@ -366,24 +366,24 @@ def rotation_invariant_sliced_wasserstein(
     (p, u), (q, v) = _sample(x, a, seed), _sample(y, b, seed)
     few = theta[: dimension * -(-40 // dimension)] if np.ndim(directions) == 0 else theta
     # both orders see the same rotations, one of them transposed
-    ends: list[_Run] = []
+    ends: list[Run] = []
     for order, (s, t, sw, tw) in enumerate(((p, q, u, v), (q, p, v, u))):
         coarse = _core.SlicedAlignment(s, t, sw, tw, few)
-        runs = [_Run(rotation.T if order else rotation) for rotation in first]
+        runs = [Run(rotation.T if order else rotation) for rotation in first]
         while True:  # a few steps each, the better half goes on
-            runs = _distinct(_alternate(coarse, runs, 4, tolerance), max(len(runs) // 2, 3))
+            runs = _distinct(alternate(coarse, runs, 4, tolerance), max(len(runs) // 2, 3))
             report(0.25 * (order + 1 / len(runs)))
             if len(runs) <= 3:
                 break
-        runs = _distinct(_alternate(coarse, runs, 30, tolerance), 2)
-        ends += [_Run(run.rotation.T if order else run.rotation, run.value) for run in runs]
+        runs = _distinct(alternate(coarse, runs, 30, tolerance), 2)
+        ends += [Run(run.rotation.T if order else run.rotation, run.value) for run in runs]
     rotations = [run.rotation for run in _distinct(ends, 3)] + ([np.eye(dimension)] if starts is None else [])
-    best: tuple[_Run, Floats] | None = None
+    best: tuple[Run, Floats] | None = None
     for order, (s, t, sw, tw) in enumerate(((x, y, a, b), (y, x, b, a))):
         report(0.5 + 0.25 * order)
         full = _core.SlicedAlignment(s, t, sw, tw, theta)
-        runs = _alternate(full, [_Run(rotation.T if order else rotation) for rotation in rotations], 10, tolerance)
-        (run,) = _alternate(full, _distinct(runs, 1), most, tolerance)
+        runs = alternate(full, [Run(rotation.T if order else rotation) for rotation in rotations], 10, tolerance)
+        (run,) = alternate(full, _distinct(runs, 1), most, tolerance)
         if best is None or run.value < best[0].value:
             best = run, run.rotation.T if order else run.rotation
     assert best is not None

@@ -1,0 +1,897 @@
+"""Near-isometric registration: eigenmaps, rotation-invariant sliced Wasserstein, functional maps (section 8.3.3, (8.30)-(8.32)).
+
+Two surfaces that differ by a bending have the same Laplace-Beltrami eigenfunctions, up to signs and rotations of equal ones. So an
+orthogonal matrix C between the eigenfunctions says where each point goes: to the nearest row. The matrix is found coarse to fine.
+``method="rswd"`` is the chapter's way: rotation-invariant sliced Wasserstein between the embeddings. The default generates more
+candidates, from what eigenfunctions' products tell, refines each, and lets the deformation energy decide.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sparse
+
+from . import _core, arrays
+from .arrays import Floats, Ints
+from .eigen import eigenpairs
+from .errors import Cancelled, InputError
+from .maps import coverage
+from .near import nearest_neighbors
+from .operators import Operators, operators
+from .progress import Progress, part, reporter
+from .sampling import farthest_points
+from .shapes import PointCloud, Shape, TriangleMesh
+from .sliced import Run, alternate, orthonormal_directions
+from .solvers import Cholesky
+
+__all__ = ["RegistrationCandidate", "RegistrationResult", "register"]
+
+_MODES = 120  # eigenfunctions after the constant
+_TENSOR = 30  # of them in triple products
+_TOP = 18  # where candidates are handed from triple products to upsampling
+_SAMPLES = 1000
+_CURVATURE_TIMES = (5e-4, 1e-3, 2e-3, 5e-3)  # of smoothing, of unit area
+
+
+@dataclass(eq=False)
+class Side:
+    """A shape scaled to unit area, with what registration needs to know of it."""
+
+    shape: Shape
+    mass: Floats
+    stiffness: sparse.csr_array
+    values: Floats
+    functions: Floats
+    positions: Floats
+    faces: Ints | None  # consistently oriented, outward if closed; None: unknown orientation
+    dimension: int
+    samples: Ints
+    sample_masses: Floats
+    normals: Floats | None = None
+    curvature: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    descriptors: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def modes(self) -> int:
+        return len(self.values)
+
+    def spectral(self, modes: int, weight: float, *, sampled: bool) -> tuple[Floats, Floats, Floats]:
+        """Eigenfunctions, weighted features and masses, at the samples or everywhere, as the core takes them."""
+        features = np.concatenate([weight / np.sqrt(max(self.curvature.shape[1], 1)) * self.curvature, self.descriptors], 1)
+        if sampled:
+            return np.ascontiguousarray(self.functions[self.samples, :modes]), features[self.samples], self.sample_masses
+        return np.ascontiguousarray(self.functions[:, :modes]), features, self.mass
+
+
+def vertex_normals(positions: Floats, faces: Ints) -> Floats:
+    """Unit normals at vertices of triangles in R^3, weighted by area."""
+    corners = positions[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    ends = faces.ravel()
+    sums = np.stack([np.bincount(ends, weights=np.repeat(column, 3), minlength=len(positions)) for column in cross.T], 1)
+    lengths: Floats = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
+
+
+def _oriented_faces(mesh: TriangleMesh) -> Ints | None:
+    """Faces all turned alike, outward where the mesh is closed in R^3; None if that cannot be."""
+    if not mesh.is_orientable:
+        return None
+    turned = mesh.oriented()
+    faces = turned.faces
+    if mesh.dimension == 3 and mesh.is_closed:
+        a, b, c = (mesh.vertices[faces[:, k]] - mesh.vertices.mean(0) for k in range(3))
+        if (a * np.cross(b, c)).sum() < 0:
+            return np.ascontiguousarray(faces[:, ::-1])
+    return faces
+
+
+def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SAMPLES, extrinsic: bool = True) -> Side:
+    """What registration computes of one shape alone; collections keep it."""
+    ops = operators(shape)
+    area = float(ops.mass.sum())
+    dimension = ops.shape.dimension if isinstance(ops.shape, PointCloud) else 2
+    unit = area ** (1 / dimension)  # of length
+    alive = int((ops.mass > 0).sum())
+    if alive < 4:
+        raise InputError(f"the shape has {alive} points with mass; registration needs 4 at least")
+    pairs = eigenpairs(ops, min(modes + 1, alive))
+    functions = np.ascontiguousarray(pairs.functions[:, 1:] * np.sqrt(area))
+    values = np.maximum(pairs.values[1:], 0.0) * unit**2
+    mass = ops.mass / area
+    positions = (ops.coordinates - mass @ ops.coordinates) / unit
+    faces = _oriented_faces(ops.shape) if isinstance(ops.shape, TriangleMesh) else None
+    chosen = farthest_points(positions, min(samples, len(positions)))
+    owner = nearest_neighbors(positions[chosen], positions, 1)[0][:, 0]
+    stiffness = ops.stiffness * unit ** (2 - dimension) if dimension != 2 else ops.stiffness
+    side = Side(
+        shape=ops.shape,
+        mass=mass,
+        stiffness=stiffness,
+        values=values,
+        functions=functions,
+        positions=positions,
+        faces=faces,
+        dimension=dimension,
+        samples=chosen,
+        sample_masses=_gathered(owner, mass, len(chosen)),
+        curvature=np.zeros((len(mass), 0)),
+        descriptors=np.zeros((len(mass), 0)),
+    )
+    if extrinsic and faces is not None and positions.shape[1] == 3:
+        side.normals = vertex_normals(positions, faces)
+        side.curvature = _curvature(side)
+    return side
+
+
+def _gathered(owner: npt.NDArray[Any], weights: Floats, count: int) -> Floats:
+    """Sums of weights by owner."""
+    sums: Floats = np.bincount(owner, weights=weights, minlength=count).astype(np.float64)
+    return sums
+
+
+def _standard(values: Floats, mass: Floats) -> Floats:
+    """Columns with mean 0 and variance 1, cut at 3."""
+    centred = values - mass @ values
+    spread = np.sqrt(mass @ centred**2)
+    return np.clip(np.divide(centred, spread, out=np.zeros_like(centred), where=spread > 1e-12 * abs(values).max(initial=1e-300)), -3, 3)
+
+
+def _curvature(side: Side) -> Floats:
+    """Mean curvature, smoothed by the heat equation for several times: it tells front from back, and inside from outside."""
+    assert side.normals is not None
+    mass = np.maximum(side.mass, 1e-12 / len(side.mass))
+    curvature = np.clip(((side.stiffness @ side.positions) * side.normals).sum(1) / mass / 2, -50, 50)
+    diagonal = sparse.diags_array(mass)
+    columns: list[Floats] = []
+    factor: Cholesky | None = None
+    for time in _CURVATURE_TIMES:
+        matrix = sparse.csr_array(diagonal + time * side.stiffness)
+        factor = Cholesky(matrix, coordinates=side.positions) if factor is None else factor.refactor(matrix)
+        columns.append(factor.solve(mass * curvature))
+    return _standard(np.stack(columns, 1), side.mass)
+
+
+# --- candidates from triple products ------------------------------------------------------------------------------------------
+
+
+def _triple_products(side: Side, count: int) -> tuple[Floats, Floats]:
+    """∫ φ_i φ_j φ_k, and ∫ φ_i dφ_j ∧ dφ_k, which a mirror image has with the other sign (0 without an orientation)."""
+    functions = side.functions[:, :count]
+    first, second = np.triu_indices(count)
+    even = np.zeros((count,) * 3)
+    products = functions.T @ (side.mass[:, None] * functions[:, first] * functions[:, second])
+    even[:, first, second] = even[:, second, first] = products
+    odd = np.zeros((count,) * 3)
+    if side.faces is not None and side.dimension == 2:
+        a, b, c = (functions[side.faces[:, corner]] for corner in range(3))
+        along, across = b - a, c - a
+        first, second = np.triu_indices(count, 1)
+        wedge = along[:, first] * across[:, second] - across[:, first] * along[:, second]
+        products = ((a + b + c) / 6).T @ wedge
+        odd[:, first, second], odd[:, second, first] = products, -products
+        odd = (odd + odd.transpose(1, 2, 0) + odd.transpose(2, 0, 1)) / 3
+    return even, odd
+
+
+@dataclass(eq=False)
+class _Products:
+    """Triple products of both shapes, ready for any level: low frequencies weigh more, and each level has norm 1."""
+
+    source: tuple[Floats, Floats]
+    target: tuple[Floats, Floats]
+    scales: tuple[Floats, Floats]
+    linear: Floats
+
+    def level(self, n: int, powers: tuple[float, float]) -> list[Floats]:
+        out = []
+        for tensors, scale in zip((self.source, self.target), self.scales, strict=True):
+            for tensor, power in zip(tensors, powers, strict=True):
+                weight = scale[:n] ** -power
+                part = tensor[:n, :n, :n] * weight[:, None, None] * weight[None, :, None] * weight[None, None, :]
+                norm = np.linalg.norm(part)
+                out.append(np.ascontiguousarray(part / norm if norm > 0 else part))
+        return out
+
+    def ascend(self, maps: Floats, powers: tuple[float, float], weight: float, steps: int) -> tuple[Floats, Floats]:
+        n = maps.shape[1]
+        linear = np.ascontiguousarray(self.linear[:n, :n])
+        norm = np.linalg.norm(linear)
+        linear = 0.3 * linear / norm if norm > 0 else linear
+        a, b, c, d = self.level(n, powers)
+        return _core.ascend_triple_products(np.ascontiguousarray(maps), a, b, c, d, weight, linear, steps)
+
+
+def _frequencies(side: Side) -> Floats:
+    """Eigenvalues over the first that is not 0; those that are, as 1."""
+    above = side.values > 1e-9 * side.values[-1]
+    first = side.values[above][0] if above.any() else 1.0
+    return np.maximum(side.values / first, 1.0)
+
+
+def _products(source: Side, target: Side) -> _Products:
+    count = min(_TENSOR, source.modes, target.modes)
+    linear = np.zeros((count, count))
+    if source.descriptors.shape[1]:
+        a, b = (side.functions[:, :count].T @ (side.mass[:, None] * side.descriptors) for side in (source, target))
+        linear = a @ b.T
+    return _Products(
+        _triple_products(source, count),
+        _triple_products(target, count),
+        (_frequencies(source)[:count], _frequencies(target)[:count]),
+        linear,
+    )
+
+
+def _distinct(maps: Floats, scores: Floats, width: int, alike: float, share: int = 4) -> npt.NDArray[np.int64]:
+    """The best `width` maps, those left out that overlap with a better one, or share a leading block with `share` better ones."""
+    n = maps.shape[1]
+    lead = min(6, n)
+    flat = maps.reshape(len(maps), -1)
+    block = maps[:, :lead, :lead].reshape(len(maps), -1)
+    block = block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300)
+    kept: list[int] = []
+    for index in np.argsort(-scores, kind="stable").tolist():
+        if kept and ((flat[kept] * flat[index]).sum(1).max() > alike * n or ((block[kept] * block[index]).sum(1) > 0.8).sum() >= share):
+            continue
+        kept.append(index)
+        if len(kept) == width:
+            break
+    return np.array(kept)
+
+
+def _beam(products: _Products, top: int, powers: tuple[float, float], weight: float, width: int, keep: int) -> Floats:
+    """Maps whose triple products agree: all signs of the first four modes, then mode after mode with either sign."""
+    start = min(4, top)
+    maps = np.array([np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=start)])
+    for n in range(start, top + 1):
+        if n > start:
+            wider = np.zeros((2, len(maps), n, n))
+            wider[:, :, :-1, :-1] = maps
+            wider[0, :, -1, -1], wider[1, :, -1, -1] = 1.0, -1.0
+            maps = wider.reshape(-1, n, n)
+        maps, scores = products.ascend(maps, powers, weight, 6)
+        total = scores[:, 0] + weight * scores[:, 1] + scores[:, 2]
+        maps = maps[_distinct(maps, total, width, 0.98)]
+    return maps[:keep]
+
+
+def _grown(maps: Floats, levels: list[int], source: Side, target: Side, weight: float) -> Floats:
+    """Two-way upsampling on the samples through `levels`."""
+    for k, following in itertools.pairwise([maps.shape[1], *levels]):
+        a, b = (side.spectral(max(k, following), weight, sampled=True) for side in (source, target))
+        maps = _core.upsample_maps(np.ascontiguousarray(maps), following, a, b)
+    return maps
+
+
+# --- what a map costs -----------------------------------------------------------------------------------------------------------
+
+
+class _Rigid:
+    """As-rigid-as-possible deformation of the source (Sorkine and Alexa 2007), rotations smoothed over a ring."""
+
+    def __init__(self, side: Side) -> None:
+        coo = sparse.coo_array(side.stiffness)
+        apart = coo.row != coo.col
+        n = len(side.mass)
+        weights = sparse.csr_array((np.maximum(-coo.data[apart], 0.0), (coo.row[apart], coo.col[apart])), shape=(n, n))
+        self.side = side
+        self.core = _core.Rigid(arrays.csr_in(weights, "weights"), side.positions)
+        self.laplacian = sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(1)).ravel() + 1e-9 * weights.sum() / n) - weights)
+        self.factor: Cholesky | None = None
+
+    def pulled(self, strength: Floats) -> Cholesky:
+        """The factor of the deformation's matrix with every point pulled by a spring."""
+        matrix = sparse.csr_array(self.laplacian + sparse.diags_array(strength))
+        if self.factor is None:
+            self.factor = Cholesky(matrix, coordinates=self.side.positions)
+        else:
+            self.factor.refactor(matrix)
+        return self.factor
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RegistrationCandidate:
+    """A map that was considered.
+
+    Attributes
+    ----------
+    functional_map : (k, k) array
+        Orthogonal, between the eigenfunctions after the constant.
+    point_map : (n,) int32 array
+        Index in the target of each source point, by this map alone (not polished).
+    energy : float
+        What decides: of deforming the source onto its image (oriented surfaces in R^3), or else the mean squared distance of nearest
+        rows. Only energies of one call compare.
+    smoothness : float
+        Agreement of the triple products of eigenfunctions, at most 1.
+    orientation : float
+        Agreement of their oriented triple products: negative for a mirror image; 0 where the shapes have no orientation.
+    """
+
+    functional_map: Floats
+    point_map: Ints
+    energy: float
+    smoothness: float
+    orientation: float
+
+    def __repr__(self) -> str:
+        return f"RegistrationCandidate(energy {self.energy:.4g}, smoothness {self.smoothness:.3f}, orientation {self.orientation:.3f})"
+
+
+def _point_maps(maps: Floats, source: Side, target: Side, weight: float) -> tuple[Ints, Ints]:
+    k = len(maps)
+    return _core.spectral_point_maps(
+        np.ascontiguousarray(maps), source.spectral(k, weight, sampled=False), target.spectral(k, weight, sampled=False)
+    )
+
+
+def _sample_image(matrix: Floats, source: Side, target: Side, weight: float) -> tuple[Ints, Floats]:
+    """Nearest target point of each source sample, and its distance."""
+    k = len(matrix)
+    functions, features, _ = source.spectral(k, weight, sampled=True)
+    others, other_features, _ = target.spectral(k, weight, sampled=False)
+    rows = np.concatenate([_product(functions, matrix) / np.sqrt(k), features], 1)
+    return _core.nearest_rows(np.concatenate([others / np.sqrt(k), other_features], 1), rows)
+
+
+def _forward(matrix: Floats, source: Side, target: Side) -> Ints:
+    """Nearest target point of each source point, without features."""
+    k = len(matrix)
+    return _core.nearest_rows(np.ascontiguousarray(target.functions[:, :k]), _product(source.functions[:, :k], matrix))[0]
+
+
+def _product(rows: Floats, matrix: Floats) -> Floats:
+    result: Floats = rows @ matrix
+    return result
+
+
+def _low_passed(matrix: Floats, source: Side, target: Side) -> Floats:
+    """The target's coordinates, as far as the functional map carries them to the source."""
+    k = len(matrix)
+    coefficients = target.functions[:, :k].T @ (target.mass[:, None] * target.positions)
+    return _product(source.functions[:, :k], matrix @ coefficients)
+
+
+class _Fitting:
+    """Deforms the source onto the target, its samples drawn to nearest points in position, normal and curvature, round by round."""
+
+    def __init__(self, source: Side, target: Side, rigid: _Rigid, pull: float = 300.0) -> None:
+        assert source.faces is not None
+        assert target.normals is not None
+        self.source, self.target, self.rigid, self.pull, self.faces = source, target, rigid, pull, source.faces
+        self.masses = np.zeros(len(source.mass))
+        self.masses[source.samples] = source.sample_masses
+        self.factor = rigid.pulled(pull * self.masses)
+        self.rows = np.concatenate([target.positions, 0.05 * target.normals, 0.03 * target.curvature], 1)
+        self.curvature = 0.03 * source.curvature[source.samples]
+
+    def run(self, positions: Floats, rounds: int) -> tuple[float, Floats]:
+        """The energy at the last look, and where the source is then."""
+        samples = self.source.samples
+        energy = np.inf
+        for step in range(rounds + 1):
+            normals = 0.05 * vertex_normals(positions, self.faces)[samples]
+            moved = np.concatenate([positions[samples], normals, self.curvature], 1)
+            image, distance = _core.nearest_neighbors(self.rows, moved, 1)
+            right, bent = self.rigid.core.fit(positions, 0.0)
+            energy = bent + self.pull * float(self.source.sample_masses @ distance[:, 0] ** 2)
+            if step < rounds:
+                drawn = np.zeros_like(positions)
+                drawn[samples] = self.pull * self.source.sample_masses[:, None] * self.target.positions[image[:, 0]]
+                positions = self.factor.solve(right + drawn)
+                positions = self.factor.solve(self.rigid.core.fit(positions, 0.0)[0] + drawn)
+        return energy, positions
+
+
+def _judge(maps: Floats, products: _Products, source: Side, target: Side, rigid: _Rigid | None) -> list[RegistrationCandidate]:
+    """Candidates with their energies, best first."""
+    n = min(maps.shape[1], len(products.linear))
+    _, scores = products.ascend(maps[:, :n, :n], (0.25, 0.5), 1.0, 0)
+    energies = np.zeros(len(maps))
+    for index, matrix in enumerate(maps):
+        if rigid is None:
+            _, distance = _sample_image(matrix, source, target, 0.6)
+            _, gap = _sample_image(np.ascontiguousarray(matrix.T), target, source, 0.6)
+            energies[index] = source.sample_masses @ distance**2 + target.sample_masses @ gap**2
+    if rigid is not None:
+        fitting = _Fitting(source, target, rigid)
+        places = [_low_passed(matrix, source, target) for matrix in maps]
+        for index in range(len(maps)):
+            energies[index], places[index] = fitting.run(places[index], 3)
+        for index in np.argsort(energies, kind="stable")[:4]:
+            if energies[index] < 1.5 * energies.min():
+                energies[index], places[index] = fitting.run(places[index], 3)
+    found = [
+        RegistrationCandidate(matrix, _forward(matrix, source, target), float(energy), float(score[0]), float(score[1]))
+        for matrix, energy, score in zip(maps, energies, scores, strict=True)
+    ]
+    return sorted(found, key=lambda candidate: candidate.energy)
+
+
+def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: int = 15, report: Any = None) -> tuple[Ints, Ints, Floats]:
+    """The source deformed onto the target: nearest points in position, normal and curvature, both ways, and a rigid step, in turns."""
+    assert source.faces is not None
+    assert target.normals is not None
+    positions = start
+    curvature = 0.03 * source.curvature
+    rows = np.concatenate([target.positions, 0.05 * target.normals, 0.03 * target.curvature], 1)
+
+    def nearest() -> tuple[Ints, Ints]:
+        assert source.faces is not None
+        moved = np.concatenate([positions, 0.05 * vertex_normals(positions, source.faces), curvature], 1)
+        return _core.nearest_neighbors(rows, moved, 1)[0][:, 0], _core.nearest_neighbors(moved, rows, 1)[0][:, 0]
+
+    n = len(source.mass)
+    for step, pull in enumerate(np.geomspace(100.0, 1000.0, steps)):
+        forward, backward = nearest()
+        weight = source.mass + _gathered(backward, target.mass, n)
+        images = source.mass[:, None] * target.positions[forward]
+        for axis in range(3):
+            images[:, axis] += _gathered(backward, target.mass * target.positions[:, axis], n)
+        factor = rigid.pulled(pull * weight)
+        for _ in range(2):
+            right, _energy = rigid.core.fit(positions, 0.8)
+            positions = factor.solve(right + pull * images)
+        if report is not None:
+            report((step + 1) / steps)
+    forward, backward = nearest()
+    return forward, backward, positions
+
+
+# --- the chapter's iteration --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _Embedding:
+    """Both shapes' samples in R^n by λ_k^(-d/4) φ_k, k = 1 ... n, and the alternation between couplings and rotations there."""
+
+    source: Side
+    target: Side
+    seed: int
+    count: int = _SAMPLES
+
+    def points(self, side: Side, n: int) -> tuple[Floats, Floats]:
+        chosen = side.samples[: self.count]
+        masses = side.sample_masses[: self.count]
+        if self.count < len(side.samples):  # fewer samples: each stands for more
+            owner = nearest_neighbors(side.positions[chosen], side.positions, 1)[0][:, 0]
+            masses = _gathered(owner, side.mass, len(chosen))
+        smallest = side.values[side.values > 1e-9 * side.values[-1]][0]
+        return side.functions[chosen, :n] * np.maximum(side.values[:n], smallest) ** (-side.dimension / 4), masses
+
+    def align(self, starts: Floats, n: int, steps: int, tolerance: float = 1e-8, directions: int = 40) -> list[Run]:
+        """Runs from several rotations, best first."""
+        (x, a), (y, b) = self.points(self.source, n), self.points(self.target, n)
+        theta = orthonormal_directions(n, max(directions, 2 * n), rng=np.random.default_rng([self.seed, n]))
+        alignment = _core.SlicedAlignment(x, y, a, b, theta)
+        runs = alternate(alignment, [Run(np.ascontiguousarray(start)) for start in starts], steps, tolerance)
+        return sorted(runs, key=lambda run: run.value)
+
+    def lifted(self, rotation: Floats, n: int) -> list[Floats]:
+        """Rotations of order n that go on from one of a lower order: Procrustes on nearest rows, and where a singular value of
+        what is new is small, so that it could as well be the opposite, both ways."""
+        old = len(rotation)
+        (x, a), (y, _) = self.points(self.source, n), self.points(self.target, n)
+        image, _ = _core.nearest_rows(np.ascontiguousarray(y[:, :old]), x[:, :old] @ rotation)
+        left, sizes, right = np.linalg.svd((x * a[:, None]).T @ y[image])
+        ways = [left @ right]
+        if sizes[-1] < 0.2 * np.median(sizes):
+            turned = left.copy()
+            turned[:, -1] *= -1
+            ways.append(turned @ right)
+        return ways
+
+
+def _rswd(source: Side, target: Side, levels: list[int], seed: int, width: int = 8) -> tuple[list[Run], list[float]]:
+    """Rotation-invariant sliced Wasserstein, coarse to fine: all signs of the first modes, then a beam. The runs of the last level,
+    best first, and the best distance of each level."""
+    embedding = _Embedding(source, target, seed, 300)
+    first = levels[0]
+    rotations = np.array([np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=first)])
+    best: list[float] = []
+    kept: list[Run] = []
+    for index, n in enumerate(levels):
+        if index:
+            rotations = np.array([way for rotation in rotations for way in embedding.lifted(rotation, n)])
+        if index == len(levels) - 1:
+            embedding.count = _SAMPLES
+        if len(rotations) > 2 * width:  # a few steps each, the better half goes on
+            runs = embedding.align(rotations, n, 4)[: 2 * width]
+            rotations = np.array([run.rotation for run in runs])
+        runs = embedding.align(rotations, n, 30)
+        kept = []
+        for run in runs:
+            if len(kept) < width and all((run.rotation * other.rotation).sum() < 0.98 * n for other in kept):
+                kept.append(run)
+        rotations = np.array([run.rotation for run in kept])
+        best.append(float(np.sqrt(kept[0].value)))
+    return kept, best
+
+
+# --- the front door -----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RegistrationResult:
+    """What :func:`register` found.
+
+    Attributes
+    ----------
+    point_map : (n_source,) int32 array
+        Index in the target of each source point.
+    inverse_map : (n_target,) int32 array
+        Index in the source of each target point. Not exactly the inverse: maps need not be one to one.
+    functional_map : (k, k) array
+        Orthogonal, between the eigenfunctions of both shapes scaled to unit area, the constant first:
+        ``source_functions @ functional_map`` is close to ``target_functions[point_map]``.
+    rotation : (n, n) array
+        Of the eigenmaps ``λ_k^(-d/4) φ_k``, k = 1 ... n: orthogonal, the source's rows times it are close to the target's.
+    distance : float
+        The rotation-invariant sliced Wasserstein distance of the eigenmaps at this rotation; no unit.
+    candidates : tuple of RegistrationCandidate
+        All that were compared to the end, best first; the first one led to the answer.
+    coverage : float
+        Share of the target's area at points that are images.
+    bijectivity : float
+        Mean distance, over the root of the area, between a source point and where the map and the map back bring it.
+    orientation : float
+        Agreement of oriented triple products, at most 1; 0 if a shape has no orientation.
+    mirror_decided : bool
+        Whether left and right were told apart. False for clouds, for faces that cannot be oriented: look at ``candidates``.
+    extrinsic : bool
+        Whether positions in R^3 took part (curvature, rigid deformation), and not only what bending keeps.
+    positions : (n_source, 3) array or None
+        The source deformed onto the target, in the target's place and size; None if not extrinsic.
+    history : dict of str to array
+        ``"levels"``: orders of the functional map; with ``method="rswd"`` also ``"distance"`` at each.
+    notes : tuple of str
+        What is worth knowing.
+    source, target : TriangleMesh or PointCloud
+    """
+
+    point_map: Ints
+    inverse_map: Ints
+    functional_map: Floats
+    rotation: Floats
+    distance: float
+    candidates: tuple[RegistrationCandidate, ...]
+    coverage: float
+    bijectivity: float
+    orientation: float
+    mirror_decided: bool
+    extrinsic: bool
+    positions: Floats | None
+    history: dict[str, Floats]
+    notes: tuple[str, ...]
+    source: Shape
+    target: Shape
+
+    def __repr__(self) -> str:
+        side = "" if self.mirror_decided else ", left and right NOT told apart"
+        return (
+            f"RegistrationResult({len(self.point_map)} -> {len(self.inverse_map)} points, coverage {self.coverage:.0%}, "
+            f"bijectivity {self.bijectivity:.4f}, {len(self.candidates)} candidates{side})"
+        )
+
+    def transfer(self, values: npt.ArrayLike, *, direction: Literal["to_source", "to_target"] = "to_source") -> npt.NDArray[Any]:
+        """Carries values, colours or labels from one shape to the other; see :func:`beltrami.transfer`."""
+        from .maps import transfer
+
+        if direction == "to_source":
+            return transfer(self.point_map, values)
+        return transfer(self.point_map, values, direction=direction, target=self.target, weights=operators(self.source).mass)
+
+
+def _candidates(
+    rotations: list[Floats], energies: list[float], products: _Products, source: Side, target: Side
+) -> list[RegistrationCandidate]:
+    """What is known of rotations of eigenmaps; their squared sliced distances as energies."""
+    maps = np.ascontiguousarray(np.array(rotations))
+    n = min(maps.shape[1], len(products.linear))
+    _, scores = products.ascend(np.ascontiguousarray(maps[:, :n, :n]), (0.25, 0.5), 1.0, 0)
+    found = []
+    for matrix, energy, score in zip(maps, energies, scores, strict=True):
+        image, _ = _point_maps(matrix, source, target, 0.0)
+        found.append(RegistrationCandidate(matrix, image, energy, float(score[0]), float(score[1])))
+    return found
+
+
+def _twins(candidates: list[RegistrationCandidate]) -> str:
+    """Says it where another candidate is as good as the best but for a tenth."""
+    close = [k for k, other in enumerate(candidates[1:], 1) if other.energy < 1.1 * candidates[0].energy]
+    if not close:
+        return ""
+    energies = ", ".join(f"{candidates[k].energy:.4g}" for k in close)
+    return f"; candidates {', '.join(map(str, close))} with energies {energies} nearly tie with the first ({candidates[0].energy:.4g})"
+
+
+def _joined(values: tuple[Floats, Floats], masses: tuple[Floats, Floats], weight: float) -> tuple[Floats, Floats]:
+    """Columns of both shapes on one scale: mean 0 and variance 1 over both together, cut at 3, and weighted."""
+    mean = sum(mass @ value for value, mass in zip(values, masses, strict=True)) / 2
+    spread = np.sqrt(sum(mass @ (value - mean) ** 2 for value, mass in zip(values, masses, strict=True)) / 2)
+    alive = spread > 1e-12 * max(abs(values[0]).max(initial=0), abs(values[1]).max(initial=0), 1e-300)
+    scale = np.where(alive, weight / np.maximum(spread, 1e-300), 0.0)
+    first, second = (np.clip((value - mean) * scale, -3 * weight, 3 * weight) for value in values)
+    return first, second
+
+
+def _describe(source: Side, target: Side, landmarks: Any, descriptors: Any) -> None:
+    """Turns landmarks and descriptors into features of both sides."""
+    blocks: list[tuple[Floats, Floats]] = []
+    masses = (source.mass, target.mass)
+    if descriptors is not None:
+        if isinstance(descriptors, str):
+            blocks.append(_joined((_signature(source, descriptors), _signature(target, descriptors)), masses, 0.3))
+        else:
+            try:
+                first, second = descriptors
+            except (TypeError, ValueError):
+                raise InputError("descriptors must be a pair (of the source, of the target), or 'hks' or 'wks'") from None
+            pair = []
+            for values, side, name in ((first, source, "source"), (second, target, "target")):
+                table = np.asarray(values)
+                pair.append(
+                    arrays.floats(table[:, None] if table.ndim == 1 else table, f"descriptors of the {name}", (len(side.mass), None))
+                )
+            if pair[0].shape[1] != pair[1].shape[1] or pair[0].shape[1] == 0:
+                raise InputError(f"the source has {pair[0].shape[1]} descriptors, the target {pair[1].shape[1]}; as many are needed")
+            blocks.append(_joined((pair[0], pair[1]), masses, 0.3))
+        blocks[-1] = (blocks[-1][0] / np.sqrt(blocks[-1][0].shape[1]), blocks[-1][1] / np.sqrt(blocks[-1][1].shape[1]))
+    if landmarks is not None:
+        pairs = np.asarray(landmarks)
+        if pairs.ndim != 2 or pairs.shape[1] != 2 or len(pairs) == 0:
+            raise InputError(f"landmarks have shape {pairs.shape}; (k, 2) with k >= 1 is needed, a source and a target point a row")
+        ends = [arrays.indices(pairs[:, k], f"landmarks[:, {k}]", len(side.mass)) for k, side in enumerate((source, target))]
+        count = min(source.modes, target.modes)
+        bumps = []
+        for side, points in zip((source, target), ends, strict=True):
+            columns = []
+            for time in (0.005, 0.05):
+                heat = (side.functions[points, :count] * np.exp(-side.values[:count] * time)) @ side.functions[:, :count].T + 1
+                columns.append(heat.T / np.maximum(heat[np.arange(len(points)), points], 1e-300))
+            bumps.append(np.concatenate(columns, 1))
+        blocks.append((bumps[0] / np.sqrt(len(pairs)), bumps[1] / np.sqrt(len(pairs))))
+    if blocks:
+        source.descriptors = np.concatenate([block[0] for block in blocks], 1)
+        target.descriptors = np.concatenate([block[1] for block in blocks], 1)
+
+
+def _signature(side: Side, name: str) -> Floats:
+    from .descriptors import hks, wks
+    from .eigen import Eigenpairs
+
+    if name not in ("hks", "wks"):
+        raise InputError(f"descriptors is {name!r}; choose 'hks' or 'wks', or give a pair of arrays")
+    functions = np.concatenate([np.ones((len(side.mass), 1)), side.functions], 1)
+    values = np.concatenate([[0.0], side.values])
+    pairs = Eigenpairs(values, functions, np.zeros_like(values), 0, side.shape)
+    return np.log(np.maximum(hks(pairs, k=len(values)), 1e-6)) if name == "hks" else wks(pairs, k=len(values))
+
+
+_LEADS = (((0.25, 0.5), 1.0), ((0.25, 0.5), 0.1))  # powers of the frequency in both products, and the weight of the oriented one
+
+
+def match(
+    source: Side,
+    target: Side,
+    *,
+    method: str = "auto",
+    polish: bool = True,
+    most: int = 8,
+    rng: np.random.Generator | None = None,
+    report: Any = None,
+) -> RegistrationResult:
+    """:func:`register` for two prepared sides."""
+    seed = int((np.random.default_rng(0) if rng is None else rng).integers(2**31))
+
+    def told(share: float) -> None:
+        if report is not None and report(share) is False:
+            raise Cancelled("stopped on request before the work was done")
+
+    modes = min(source.modes, target.modes)
+    top = min(_TOP, modes)
+    oriented = source.faces is not None and target.faces is not None
+    extrinsic = oriented and source.normals is not None and target.normals is not None
+    notes: list[str] = []
+    history: dict[str, Floats] = {}
+    if not extrinsic:  # what one side has alone cannot be compared
+        source, target = (replace(side, curvature=np.zeros((len(side.mass), 0)), normals=None) for side in (source, target))
+    products = _products(source, target)
+    if not oriented:
+        products.source[1][:], products.target[1][:] = 0.0, 0.0
+    told(0.05)
+
+    def upto(*levels: int) -> list[int]:
+        return [level for level in levels if level <= modes]
+
+    if method == "rswd":
+        levels = [level for level in (5, 8, 12, 16, 20, 25, 30) if level <= modes] or [modes]
+        runs, distances = _rswd(source, target, levels, seed)
+        history["levels"], history["distance"] = np.array(levels, float), np.array(distances)
+        told(0.8)
+        candidates = _candidates([run.rotation for run in runs], [run.value for run in runs], products, source, target)
+        if oriented and candidates[0].orientation < 0 < max(candidate.orientation for candidate in candidates):
+            candidates.sort(key=lambda candidate: candidate.orientation < 0)
+            notes.append("a mirror image has the smaller distance; orientation decided")
+        matrix = candidates[0].functional_map
+        forward, backward = _point_maps(matrix, source, target, 0.0)
+        positions = None
+        extrinsic = False
+    else:
+        maps = np.concatenate(
+            [_beam(products, top, powers, weight if oriented else 0.0, 32, 8) for powers, weight in _LEADS[: 2 if oriented else 1]]
+        )
+        maps = maps[_distinct(maps, -np.arange(len(maps), dtype=float), len(maps), 0.98, len(maps))]
+        told(0.3)
+        maps = _grown(maps, upto(24, 30), source, target, 0.3)
+        n = maps.shape[1]
+        _, scores = products.ascend(maps, (0.25, 0.5), 1.0, 0)
+        maps = maps[_distinct(maps, scores[:, 0] + scores[:, 1], most, 0.95, len(maps))]
+        told(0.4)
+        maps = _grown(maps, upto(36, 42, 48, 54, 60), source, target, 0.3)
+        maps = maps[_distinct(maps, -np.arange(len(maps), dtype=float), most, 0.95, len(maps))]
+        rigid = _Rigid(source) if extrinsic else None
+        candidates = _judge(maps, products, source, target, rigid)
+        told(0.6)
+        matrix = _grown(candidates[0].functional_map[None], upto(80, 100, 120), source, target, 0.6)[0]
+        n = len(matrix)
+        history["levels"] = np.array([*range(min(4, top), top + 1), *upto(24, 30, 36, 42, 48, 54, 60, 80, 100, 120)], float)
+        sides = [side.spectral(n, 0.6, sampled=False) for side in (source, target)]
+        forward, backward = _point_maps(matrix, source, target, 0.6)
+        matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
+        told(0.7)
+        positions = None
+        if rigid is not None and polish:
+            forward, backward, positions = _polish(_low_passed(matrix, source, target), source, target, _Rigid(source))
+            matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
+        else:
+            forward, backward = _point_maps(matrix, source, target, 0.6)
+    told(0.95)
+    embedding = _Embedding(source, target, seed)
+    n = min(30, modes)
+    rotation, distance = _final_rotation(embedding, matrix, n)
+    if not oriented:
+        notes.append("no orientation: left and right cannot be told apart" + _twins(candidates))
+    total = float(operators(target.shape).mass.sum())
+    shift = operators(target.shape)
+    centre = (shift.mass @ shift.coordinates) / total
+    moved = source.positions[backward[forward]] - source.positions
+    result = RegistrationResult(
+        point_map=forward,
+        inverse_map=backward,
+        functional_map=_with_constant(matrix),
+        rotation=rotation,
+        distance=distance,
+        candidates=tuple(replace(c, functional_map=_with_constant(c.functional_map)) for c in candidates),
+        coverage=coverage(forward, target.mass),
+        bijectivity=float(source.mass @ np.linalg.norm(moved, axis=1)),
+        orientation=candidates[0].orientation,
+        mirror_decided=oriented,
+        extrinsic=extrinsic,
+        positions=None if positions is None else positions * np.sqrt(total) + centre,
+        history=history,
+        notes=tuple(notes),
+        source=source.shape,
+        target=target.shape,
+    )
+    told(1.0)
+    return result
+
+
+def _with_constant(matrix: Floats) -> Floats:
+    whole = np.zeros((len(matrix) + 1,) * 2)
+    whole[0, 0] = 1.0
+    whole[1:, 1:] = matrix
+    return whole
+
+
+def _final_rotation(embedding: _Embedding, matrix: Floats, n: int) -> tuple[Floats, float]:
+    """The alternation from the map that was found, in both orders; the less of both."""
+    start = _core.polar(np.ascontiguousarray(matrix[:n, :n]))
+    there = embedding.align(start[None], n, 6)[0]
+    swapped = _Embedding(embedding.target, embedding.source, embedding.seed, embedding.count)
+    back = swapped.align(np.ascontiguousarray(there.rotation.T)[None], n, 6)[0]
+    if back.value < there.value:
+        return np.ascontiguousarray(back.rotation.T), float(np.sqrt(max(back.value, 0.0)))
+    return there.rotation, float(np.sqrt(max(there.value, 0.0)))
+
+
+def register(
+    source: Shape | Operators,
+    target: Shape | Operators,
+    *,
+    method: Literal["auto", "rswd"] = "auto",
+    landmarks: npt.ArrayLike | None = None,
+    descriptors: Any = None,
+    extrinsic: bool = True,
+    polish: bool = True,
+    modes: int = _MODES,
+    samples: int = _SAMPLES,
+    candidates: int = 8,
+    rng: int | np.random.Generator | None = None,
+    progress: Progress = None,
+) -> RegistrationResult:
+    """The point map between two shapes that differ by a bending, without landmarks.
+
+    Shapes are scaled to unit area. Candidates for the orthogonal matrix between the eigenfunctions come from a beam search over
+    signs and rotations that makes triple products agree, ``∫ φ_i φ_j φ_k``, and oriented ones, ``∫ φ_i dφ_j ∧ dφ_k``, which tell a mirror
+    image. Each is refined by upsampling in both directions. On oriented surfaces in R^3 the least energy of deforming the source
+    onto the target decides, and the map is polished by such a deformation. With ``method="rswd"`` the chapter's iteration alone:
+    rotation-invariant sliced Wasserstein between the eigenmaps ``λ_k^(-d/4) φ_k``, coarse to fine from all sign starts.
+
+    Parameters
+    ----------
+    source, target : TriangleMesh, PointCloud or Operators
+        Numbers of points may differ; position, size and numbering do not matter. Closed meshes are turned outward.
+    method : {"auto", "rswd"}
+    landmarks : (k, 2) int array, optional
+        Pairs (source point, target point) that are known to match, roughly.
+    descriptors : pair of arrays (n_source, p) and (n_target, p), "hks" or "wks", optional
+        Functions that should be carried over. Brought to one scale; joined to the eigenmaps.
+    extrinsic : bool
+        Whether positions in R^3 may help, where both shapes are oriented surfaces there. False: only what no bending changes.
+    polish : bool
+        Whether the map is polished by a deformation, if extrinsic.
+    modes : int
+        How many eigenfunctions after the constant.
+    samples : int
+        Farthest points that candidates are refined on.
+    candidates : int
+        How many are compared to the end.
+    rng : int or numpy Generator, optional
+        What directions of the sliced distance are drawn with; None is seed 0.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops. True draws a bar.
+
+    Returns
+    -------
+    RegistrationResult
+
+    Raises
+    ------
+    InputError
+        A shape has too few points, landmarks or descriptors do not fit, or intrinsic dimensions differ.
+    Cancelled
+        If ``progress`` returned False.
+
+    Notes
+    -----
+    For partial shapes and clouds a map comes back too; look at ``coverage``, ``bijectivity`` and ``notes``. Left and right cannot be told
+    apart on clouds.
+
+    References
+    ----------
+    Lai and Zhao, Multi-scale non-rigid point cloud registration using robust sliced-Wasserstein distance via Laplace-Beltrami
+    eigenmap, 2017. Melzi, Ren, Rodolà, Sharma, Wonka and Ovsjanikov, ZoomOut, 2019. Ren, Poulenard, Wonka and Ovsjanikov, Continuous and
+    orientation-preserving correspondences via functional maps, 2018. Sorkine and Alexa, As-rigid-as-possible surface modeling, 2007.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> shape = bt.shapes.ellipsoid(level=3)
+    >>> found = bt.register(shape, bt.TriangleMesh(10 * shape.vertices[:, [1, 2, 0]], shape.faces))
+    >>> found.mirror_decided, bool(found.coverage > 0.9)
+    (True, True)
+    """
+    if method not in ("auto", "rswd"):
+        raise InputError(f"method is {method!r}; choose 'auto' or 'rswd'")
+    modes, samples = arrays.whole(modes, "modes", 3), arrays.whole(samples, "samples", 4)
+    most = arrays.whole(candidates, "candidates", 1)
+    generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(0 if rng is None else arrays.whole(rng, "rng", 0))
+    report = reporter(progress, "registration")
+    sides = []
+    for index, shape in enumerate((source, target)):
+        sides.append(prepare(shape, modes=modes, samples=samples, extrinsic=extrinsic and method == "auto"))
+        if report is not None and report(0.2 * (index + 1)) is False:
+            raise Cancelled("stopped on request before the work was done")
+    if sides[0].dimension != sides[1].dimension:
+        raise InputError(f"the source has intrinsic dimension {sides[0].dimension}, the target {sides[1].dimension}; they must agree")
+    a, b = sides
+    _describe(a, b, landmarks, descriptors)
+    return match(a, b, method=method, polish=polish, most=most, rng=generator, report=part(report, 0.4, 1.0))
