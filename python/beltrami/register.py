@@ -43,8 +43,10 @@ class Side:
     """A shape scaled to unit area, with what registration needs to know of it."""
 
     shape: Shape
-    mass: Floats
-    stiffness: sparse.csr_array
+    unit: float  # of length
+    centre: Floats
+    mass: Floats  # 0 where a point hangs loose of the largest part
+    stiffness: sparse.csr_array  # of the points that are no copies of others
     values: Floats
     functions: Floats
     positions: Floats
@@ -93,24 +95,41 @@ def _oriented_faces(mesh: TriangleMesh) -> Ints | None:
 
 def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SAMPLES, extrinsic: bool = True) -> Side:
     """What registration computes of one shape alone; collections keep it."""
+    whole = shape.shape if isinstance(shape, Operators) else shape
+    single: npt.NDArray[np.int64] | None = None
+    if isinstance(shape, PointCloud):  # copies go along with the first of each
+        first = _core.first_copies(shape.points)
+        if not first.all():
+            single = np.flatnonzero(first)
+            shape = PointCloud(shape.points[single], dimension=shape.dimension)
     ops = operators(shape)
-    area = float(ops.mass.sum())
     dimension = ops.shape.dimension if isinstance(ops.shape, PointCloud) else 2
+    kept = np.flatnonzero((ops.component_labels == ops.component_masses.argmax()) & (ops.mass > 0))
+    if len(kept) < 4:
+        raise InputError(f"the shape has {len(kept)} connected points with mass; registration needs 4 at least")
+    area = float(ops.mass[kept].sum())
     unit = area ** (1 / dimension)  # of length
-    alive = int((ops.mass > 0).sum())
-    if alive < 4:
-        raise InputError(f"the shape has {alive} points with mass; registration needs 4 at least")
-    pairs = eigenpairs(ops, min(modes + 1, alive))
+    count = min(modes + 1, len(kept))
+    alone = len(kept) == len(ops.mass)
+    pairs = eigenpairs(ops, count) if alone else eigenpairs(ops.stiffness[kept][:, kept], count, mass=ops.mass[kept])
     functions = np.ascontiguousarray(pairs.functions[:, 1:] * np.sqrt(area))
     values = np.maximum(pairs.values[1:], 0.0) * unit**2
-    mass = ops.mass / area
-    positions = (ops.coordinates - mass @ ops.coordinates) / unit
+    places = whole.points if isinstance(whole, PointCloud) else whole.vertices
+    main = kept if single is None else single[kept]
+    mass = np.zeros(len(places))
+    mass[main] = ops.mass[kept] / area
+    centre: Floats = mass @ places
+    positions = (places - centre) / unit
+    if len(main) < len(places):  # what hangs loose goes along with the nearest point of the largest part
+        functions = functions[nearest_neighbors(positions[main], positions, 1)[0][:, 0]]
     faces = _oriented_faces(ops.shape) if isinstance(ops.shape, TriangleMesh) else None
-    chosen = farthest_points(positions, min(samples, len(positions)))
+    chosen = main[farthest_points(positions[main], min(samples, len(main)))].astype(np.int32)
     owner = nearest_neighbors(positions[chosen], positions, 1)[0][:, 0]
     stiffness = ops.stiffness * unit ** (2 - dimension) if dimension != 2 else ops.stiffness
     side = Side(
-        shape=ops.shape,
+        shape=whole,
+        unit=unit,
+        centre=centre,
         mass=mass,
         stiffness=stiffness,
         values=values,
@@ -169,7 +188,8 @@ def _triple_products(side: Side, count: int) -> tuple[Floats, Floats]:
     even[:, first, second] = even[:, second, first] = products
     odd = np.zeros((count,) * 3)
     if side.faces is not None and side.dimension == 2:
-        a, b, c = (functions[side.faces[:, corner]] for corner in range(3))
+        faces = side.faces[(side.mass[side.faces] > 0).all(1)]
+        a, b, c = (functions[faces[:, corner]] for corner in range(3))
         along, across = b - a, c - a
         first, second = np.triu_indices(count, 1)
         wedge = along[:, first] * across[:, second] - across[:, first] * along[:, second]
@@ -358,6 +378,12 @@ def _low_passed(matrix: Floats, source: Side, target: Side) -> Floats:
     return _product(source.functions[:, :k], matrix @ coefficients)
 
 
+def _marks(side: Side) -> Floats:
+    """Features that go along with positions of unit area."""
+    marks: Floats = np.concatenate([0.03 * side.curvature, 0.1 * side.descriptors], 1)
+    return marks
+
+
 class _Fitting:
     """Deforms the source onto the target, its samples drawn to nearest points in position, normal and curvature, round by round."""
 
@@ -367,23 +393,25 @@ class _Fitting:
         self.source, self.target, self.rigid, self.pull, self.faces = source, target, rigid, pull, source.faces
         self.masses = np.zeros(len(source.mass))
         self.masses[source.samples] = source.sample_masses
-        self.factor = rigid.pulled(pull * self.masses)
-        self.rows = np.concatenate([target.positions, 0.05 * target.normals, 0.03 * target.curvature], 1)
-        self.curvature = 0.03 * source.curvature[source.samples]
+        self.anchor = 1e-6 / len(source.mass)  # holds what is tied to nothing
+        self.factor = rigid.pulled(pull * (self.masses + self.anchor))
+        self.rows = np.concatenate([target.positions, 0.05 * target.normals, _marks(target)], 1)
+        self.marks = _marks(source)[source.samples]
 
     def run(self, positions: Floats, rounds: int) -> tuple[float, Floats]:
         """The energy at the last look, and where the source is then."""
         samples = self.source.samples
+        held = self.pull * self.anchor * positions
         energy = np.inf
         for step in range(rounds + 1):
             normals = 0.05 * vertex_normals(positions, self.faces)[samples]
-            moved = np.concatenate([positions[samples], normals, self.curvature], 1)
+            moved = np.concatenate([positions[samples], normals, self.marks], 1)
             image, distance = _core.nearest_neighbors(self.rows, moved, 1)
             right, bent = self.rigid.core.fit(positions, 0.0)
             energy = bent + self.pull * float(self.source.sample_masses @ distance[:, 0] ** 2)
             if step < rounds:
-                drawn = np.zeros_like(positions)
-                drawn[samples] = self.pull * self.source.sample_masses[:, None] * self.target.positions[image[:, 0]]
+                drawn = held.copy()
+                drawn[samples] += self.pull * self.source.sample_masses[:, None] * self.target.positions[image[:, 0]]
                 positions = self.factor.solve(right + drawn)
                 positions = self.factor.solve(self.rigid.core.fit(positions, 0.0)[0] + drawn)
         return energy, positions
@@ -419,19 +447,20 @@ def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: 
     assert source.faces is not None
     assert target.normals is not None
     positions = start
-    curvature = 0.03 * source.curvature
-    rows = np.concatenate([target.positions, 0.05 * target.normals, 0.03 * target.curvature], 1)
+    marks = _marks(source)
+    rows = np.concatenate([target.positions, 0.05 * target.normals, _marks(target)], 1)
 
     def nearest() -> tuple[Ints, Ints]:
         assert source.faces is not None
-        moved = np.concatenate([positions, 0.05 * vertex_normals(positions, source.faces), curvature], 1)
+        moved = np.concatenate([positions, 0.05 * vertex_normals(positions, source.faces), marks], 1)
         return _core.nearest_neighbors(rows, moved, 1)[0][:, 0], _core.nearest_neighbors(moved, rows, 1)[0][:, 0]
 
     n = len(source.mass)
+    own = np.maximum(source.mass, 1e-3 / n)
     for step, pull in enumerate(np.geomspace(100.0, 1000.0, steps)):
         forward, backward = nearest()
-        weight = source.mass + _gathered(backward, target.mass, n)
-        images = source.mass[:, None] * target.positions[forward]
+        weight = own + _gathered(backward, target.mass, n)
+        images = own[:, None] * target.positions[forward]
         for axis in range(3):
             images[:, axis] += _gathered(backward, target.mass * target.positions[:, axis], n)
         factor = rigid.pulled(pull * weight)
@@ -553,6 +582,8 @@ class RegistrationResult:
     notes : tuple of str
         What is worth knowing.
     source, target : TriangleMesh or PointCloud
+    source_masses : (n_source,) array
+        Shares of the source's area.
     """
 
     point_map: Ints
@@ -571,6 +602,7 @@ class RegistrationResult:
     notes: tuple[str, ...]
     source: Shape
     target: Shape
+    source_masses: Floats
 
     def __repr__(self) -> str:
         side = "" if self.mirror_decided else ", left and right NOT told apart"
@@ -585,7 +617,7 @@ class RegistrationResult:
 
         if direction == "to_source":
             return transfer(self.point_map, values)
-        return transfer(self.point_map, values, direction=direction, target=self.target, weights=operators(self.source).mass)
+        return transfer(self.point_map, values, direction=direction, target=self.target, weights=self.source_masses)
 
 
 def _candidates(
@@ -705,6 +737,10 @@ def match(
     products = _products(source, target)
     if not oriented:
         products.source[1][:], products.target[1][:] = 0.0, 0.0
+    for side, name in ((source, "source"), (target, "target")):
+        loose = int((side.mass == 0).sum())
+        if loose:
+            notes.append(f"{loose} points of the {name} hang loose of its largest part, and go along with the nearest of it")
     told(0.05)
 
     def upto(*levels: int) -> list[int]:
@@ -732,7 +768,7 @@ def match(
         maps = _grown(maps, upto(24, 30), source, target, 0.3)
         n = maps.shape[1]
         _, scores = products.ascend(maps, (0.25, 0.5), 1.0, 0)
-        maps = maps[_distinct(maps, scores[:, 0] + scores[:, 1], most, 0.95, len(maps))]
+        maps = maps[_distinct(maps, scores.sum(1), most, 0.95, len(maps))]
         told(0.4)
         maps = _grown(maps, upto(36, 42, 48, 54, 60), source, target, 0.3)
         maps = maps[_distinct(maps, -np.arange(len(maps), dtype=float), most, 0.95, len(maps))]
@@ -758,9 +794,6 @@ def match(
     rotation, distance = _final_rotation(embedding, matrix, n)
     if not oriented:
         notes.append("no orientation: left and right cannot be told apart" + _twins(candidates))
-    total = float(operators(target.shape).mass.sum())
-    shift = operators(target.shape)
-    centre = (shift.mass @ shift.coordinates) / total
     moved = source.positions[backward[forward]] - source.positions
     result = RegistrationResult(
         point_map=forward,
@@ -774,11 +807,12 @@ def match(
         orientation=candidates[0].orientation,
         mirror_decided=oriented,
         extrinsic=extrinsic,
-        positions=None if positions is None else positions * np.sqrt(total) + centre,
+        positions=None if positions is None else positions * target.unit + target.centre,
         history=history,
         notes=tuple(notes),
         source=source.shape,
         target=target.shape,
+        source_masses=source.mass,
     )
     told(1.0)
     return result

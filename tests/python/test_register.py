@@ -1,0 +1,150 @@
+"""Near-isometric registration."""
+
+import beltrami as bt
+import numpy as np
+import pytest
+
+
+def bent(mesh, angle=0.8):
+    """The mesh bent about the z axis along y: no isometry, yet near one."""
+    x, y, z = (mesh.vertices - mesh.vertices.mean(0)).T
+    radius = np.ptp(y) / angle
+    return bt.TriangleMesh(np.stack([(radius + x) * np.cos(y / radius), (radius + x) * np.sin(y / radius), z], 1), mesh.faces)
+
+
+def renumbered(mesh, seed):
+    order = np.random.default_rng(seed).permutation(len(mesh.vertices))
+    number = np.argsort(order)
+    return bt.TriangleMesh(mesh.vertices[order], number[mesh.faces]), number
+
+
+@pytest.fixture(scope="module")
+def spot():
+    return bt.examples.spot()
+
+
+@pytest.fixture(scope="module")
+def pair(spot):
+    target, truth = renumbered(bent(spot), 1)
+    return spot, target, truth
+
+
+@pytest.fixture(scope="module")
+def found(pair):
+    return bt.register(pair[0], pair[1], rng=0)
+
+
+def error(point_map, pair):
+    return bt.evaluate_map(point_map, pair[0], pair[1], truth=pair[2], points=200).mean
+
+
+def test_a_bent_copy_is_found_and_not_mirrored(found, pair):
+    assert error(found.point_map, pair) < 0.01  # about half an edge
+    assert found.mirror_decided
+    assert found.extrinsic
+    assert found.orientation > 0.9
+    assert found.coverage > 0.9
+
+
+def test_what_the_result_says_is_so(found, pair):
+    _source, target, truth = pair
+    k = len(found.functional_map)
+    assert np.allclose(found.functional_map.T @ found.functional_map, np.eye(k), atol=1e-12)
+    n = len(found.rotation)
+    assert np.abs(found.rotation.T @ found.rotation - np.eye(n)).max() < 1e-12
+    hit = np.unique(found.point_map)
+    mass = bt.operators(target).mass
+    assert np.isclose(found.coverage, mass[hit].sum() / mass.sum(), rtol=1e-12)
+    assert found.distance >= 0
+    energies = [candidate.energy for candidate in found.candidates]
+    assert energies == sorted(energies)
+    size = np.sqrt(target.area)
+    assert np.linalg.norm(found.positions - target.vertices[truth], axis=1).mean() < 0.01 * size
+
+
+def test_colours_and_labels_travel_along_the_map(found, pair):
+    source, _target, truth = pair
+    labels = (source.vertices[:, 1] > 0).astype(int)
+    carried = found.transfer(labels, direction="to_target")
+    assert (carried[truth] == labels).mean() > 0.97
+
+
+def test_size_place_numbering_and_inside_out_do_not_matter(pair):
+    source, target, truth = pair
+    far = bt.TriangleMesh(1e5 * target.vertices + 3e5, target.faces[:, ::-1])
+    assert error(bt.register(source, far).point_map, (source, far, truth)) < 0.01
+
+
+def test_the_chapters_iteration_alone(pair):
+    # what remains of left and right is decided by orientation
+    result = bt.register(pair[0], pair[1], method="rswd", rng=0)
+    assert error(result.point_map, pair) < 0.05
+    assert (np.diff(result.history["levels"]) > 0).all()
+    assert not result.extrinsic
+    again = bt.register(pair[0], pair[1], method="rswd", rng=0)
+    assert (again.point_map == result.point_map).all()
+    assert again.distance == result.distance
+
+
+def test_intrinsic_only_and_clouds(pair):
+    source, target, _truth = pair
+    inner = bt.register(source, target, extrinsic=False)
+    assert not inner.extrinsic
+    assert error(inner.point_map, pair) < 0.03
+    cloud = bt.register(bt.PointCloud(source.vertices), bt.PointCloud(target.vertices))
+    assert not cloud.mirror_decided
+    assert any("left and right" in note for note in cloud.notes)
+    assert cloud.point_map.shape == (len(source.vertices),)
+
+
+def test_landmarks_decide_where_symmetry_cannot():
+    # an ellipsoid has eight isometries, four of them keep the orientation
+    shape = bt.shapes.ellipsoid(level=3)
+    target, truth = renumbered(shape, 5)
+    ends = [int(shape.vertices[:, axis].argmax()) for axis in range(3)]
+    found = bt.register(shape, target, landmarks=np.stack([ends, truth[ends]], 1))
+    assert error(found.point_map, (shape, target, truth)) < 0.02
+    height = shape.vertices @ [1.0, 2.0, 3.0]
+    found = bt.register(shape, target, descriptors=(height, height[np.argsort(truth)]))
+    assert error(found.point_map, (shape, target, truth)) < 0.02
+
+
+def test_parts_that_hang_loose_follow_and_are_said():
+    shape = bt.shapes.ellipsoid(level=3)
+    crumb = bt.shapes.sphere(1)
+    n = len(shape.vertices)
+    both = bt.TriangleMesh(
+        np.concatenate([shape.vertices, 0.01 * crumb.vertices + [2.0, 0, 0]]), np.concatenate([shape.faces, crumb.faces + n])
+    )
+    found = bt.register(both, shape)
+    assert any("hang loose" in note for note in found.notes)
+    assert len(found.point_map) == n + len(crumb.vertices)
+    assert np.isfinite(found.positions).all()
+
+
+def test_a_part_of_a_shape_and_tiny_shapes_run(spot):
+    part = spot.submesh(spot.vertices[:, 1] > -0.2)
+    found = bt.register(part, spot)
+    assert 0 < found.coverage < 1
+    octahedron = bt.shapes.sphere(0)
+    assert bt.register(octahedron, octahedron).point_map.shape == (len(octahedron.vertices),)
+
+
+def test_bad_input_is_refused(spot):
+    small = bt.shapes.sphere(2)
+    n = len(small.vertices)
+    calls = [
+        lambda: bt.register(small, small, method="icp"),
+        lambda: bt.register(small, small, landmarks=[[0, n]]),
+        lambda: bt.register(small, small, landmarks=[0, 1]),
+        lambda: bt.register(small, small, descriptors=(np.zeros((n, 2)), np.zeros((n, 3)))),
+        lambda: bt.register(small, small, descriptors=np.zeros(n)),
+        lambda: bt.register(small, small, descriptors="sift"),
+        lambda: bt.register(small, small, modes=0),
+        lambda: bt.register(small, "horse"),
+    ]
+    for call in calls:
+        with pytest.raises(bt.InputError):
+            call()
+    with pytest.raises(bt.Cancelled):
+        bt.register(small, small, progress=lambda share: share < 0.3)
