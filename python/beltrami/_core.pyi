@@ -33,6 +33,7 @@ __all__ = [
     "first_copies",
     "galerkin_mass",
     "gradient",
+    "has_positive_weights",
     "intersect_rays",
     "intrinsic_divergence",
     "intrinsic_gradient",
