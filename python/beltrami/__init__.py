@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from . import costs, examples, shapes
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
+from . import examples, shapes
+from .committor import CommittorResult, committor
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
@@ -47,6 +49,7 @@ __all__ = [
     "Cholesky",
     "ClosestPointsResult",
     "ConformalRegistrationResult",
+    "CommittorResult",
     "ConvergenceError",
     "DenoisingResult",
     "DependencyError",
@@ -82,6 +85,7 @@ __all__ = [
     "__version__",
     "closest_points",
     "conformal_eigenpairs",
+    "committor",
     "contours",
     "costs",
     "denoise",
