@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from . import costs, examples, shapes
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
-from . import examples, shapes
-from .committor import CommittorResult, committor
+from .committor import CommittorResult, committor, reweight, sample_density
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
@@ -48,8 +47,8 @@ __all__ = [
     "Cancelled",
     "Cholesky",
     "ClosestPointsResult",
-    "ConformalRegistrationResult",
     "CommittorResult",
+    "ConformalRegistrationResult",
     "ConvergenceError",
     "DenoisingResult",
     "DependencyError",
@@ -84,8 +83,8 @@ __all__ = [
     "TriangleMesh",
     "__version__",
     "closest_points",
-    "conformal_eigenpairs",
     "committor",
+    "conformal_eigenpairs",
     "contours",
     "costs",
     "denoise",
@@ -110,7 +109,9 @@ __all__ = [
     "poisson_disc",
     "register",
     "register_conformal",
+    "reweight",
     "rotation_invariant_sliced_wasserstein",
+    "sample_density",
     "save",
     "segment",
     "segment_path",

@@ -303,9 +303,7 @@ def _moving_least_squares(cloud: PointCloud, mass: str, options: dict[str, Any])
         neighbors = arrays.whole(neighbors, "neighbors", cloud.dimension + 1)
     if weight not in get_args(Weight):
         raise InputError(f"weight is {weight!r}; choose one of {', '.join(map(repr, get_args(Weight)))}")
-    return LeastSquaresOperators(
-        cloud, degree=degree, neighbors=neighbors, weight=weight, constrained=bool(constrained), progress=progress
-    )
+    return LeastSquaresOperators(cloud, degree=degree, neighbors=neighbors, weight=weight, constrained=bool(constrained), progress=progress)
 
 
 def _no_more(options: dict[str, Any], mass: str, kind: str, known: str) -> None:

@@ -2,35 +2,50 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.linalg import splu
+from scipy.special import logsumexp, ndtri
 
 from . import arrays, weighted
 from .arrays import Floats
-from .clouds import CloudOperators
-from .errors import InputError, NumericalError, TopologyError
+from .clouds import CloudOperators, LeastSquaresOperators
+from .errors import Cancelled, Error, FileError, InputError, NumericalError, TopologyError
+from .near import nearest_neighbors
 from .operators import Operators, operators
 from .progress import Progress, part, reporter
-from .shapes import Shape
+from .sampling import poisson_disc
+from .shapes import PointCloud, Shape
 from .solvers import Cholesky
-from .weighted import Elements, Mask
+from .view import Page, Picture, plot
+from .weighted import Elements, Function, Longs, Mask
 
-__all__ = ["CommittorResult", "committor"]
+__all__ = [
+    "CommittorDiagnostics",
+    "CommittorResult",
+    "FreeEnergyResult",
+    "IsocommittorResult",
+    "committor",
+    "reweight",
+    "sample_density",
+]
+
+Method = Literal["weak", "strong"]
+Sampling = Literal["any", "gibbs", "weighted", "mixed"]
 
 STEEPEST = 600.0  # β U may exceed its least value by as much: exp(-600) is a number yet
-REFINED = 20_000  # up to so many points triangles are split in four
+TAIL = 3e-5  # q closer to 0 or 1 counts as that in the second estimate of the rate
 LOST = 1e-6  # how far the two committors' sum may be from 1
-
-
-def _places(ops: Operators) -> Floats:
-    return ops.coordinates
 
 
 def _dimension(ops: Operators) -> int:
@@ -74,7 +89,7 @@ def _members(given: Any, points: Floats, name: str) -> tuple[Mask, Floats | None
     return members, None
 
 
-def _checked(ops: Operators, u: Floats, a: Mask, b: Mask, beta: float) -> None:
+def _checked(u: Floats, a: Mask, b: Mask, beta: float) -> None:
     """Refuses what has no answer; the messages name points."""
     both = np.flatnonzero(a & b)
     if len(both):
@@ -116,13 +131,12 @@ class _System:
     mesh: Elements
     ops: Operators
     count: int  # points of the shape; further nodes are middles of edges
-    parents: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]  # ends of the edges that have nodes in their middles
+    parents: tuple[tuple[Longs, Longs], ...]  # at each refinement, the ends of the edges that got nodes in their middles
     sets: tuple[Mask, Mask]
     outside: Floats  # share of each edge outside A and B
     weights: Floats  # of the edges
     q: Floats  # at the nodes
     beta: float
-    attempts: int
 
     @property
     def conductance(self) -> Floats:
@@ -134,13 +148,21 @@ class _System:
         found: Floats = self.mesh.mass * np.exp(-self.mesh.potential)
         return found
 
-    def restrict(self, values: Floats) -> Floats:
+    def restrict(self, values: npt.NDArray[Any]) -> Floats:
         """Sums over nodes as sums over points: middles give a half to each end."""
-        found = values[: self.count].copy()
-        if len(values) > self.count:
-            for end in self.parents:
-                np.add.at(found, end, values[self.count :] / 2)
-        return found
+        for ends in reversed(self.parents):
+            count = len(values) - len(ends[0])
+            halves = values[count:] / 2
+            values = values[:count].copy()
+            for end in ends:
+                np.add.at(values, end, halves)
+        return values.copy()
+
+    def prolong(self, values: Floats) -> Floats:
+        """Values at points as values at nodes: middles get the mean of both ends."""
+        for one, other in self.parents:
+            values = np.concatenate([values, (values[one] + values[other]) / 2])
+        return values
 
     @cached_property
     def vectors(self) -> Floats:
@@ -187,7 +209,8 @@ class _TooDeep(Exception):
 
 
 def _weak(
-    ops: Operators, u: Floats, exact: Any, members: tuple[Mask, Mask], levels: tuple[Any, Any], given: tuple[Any, Any],
+    ops: Operators, u: Floats, exact: Any, members: tuple[Mask, Mask], levels: tuple[Function | None, Function | None],
+    given: tuple[Floats | None, ...],
     beta: float, refine: int, report: Any,
 ) -> _System:  # fmt: skip
     count = len(u)
@@ -198,23 +221,22 @@ def _weak(
             if edges is None:
                 upper = sparse.coo_array(sparse.triu(ops.stiffness, 1))
                 edges = upper.row, upper.col
-            level = weighted.level_of_set(_places(ops), inside, edges, _dimension(ops))
+            level = weighted.level_of_set(ops.coordinates, inside, edges, _dimension(ops))
         found.append(level)
     coarse = weighted.elements(ops, u, exact, (found[0], found[1]))
     _reached(coarse, *members)
     last: Exception | None = None
     for attempt in range(3):
-        mesh, parents = coarse, (coarse.first[:0], coarse.second[:0])
-        if attempt:
-            mesh = weighted.mend(mesh)
-        sets = members
-        if refine:
-            parents = mesh.first, mesh.second
-            fine = weighted.split(ops, mesh, levels)
-            sets = tuple(np.concatenate([s, level[count:] <= 0]) for s, level in zip(members, fine.levels, strict=True))  # type: ignore
-            mesh = fine
+        mesh, sets = weighted.mend(coarse) if attempt else coarse, members
+        parents: list[tuple[Longs, Longs]] = []
+        for _ in range(refine):
+            parents.append((mesh.first, mesh.second))
+            before = len(mesh.points)
+            mesh = weighted.split(ops, mesh, levels)
             if attempt:
                 mesh = weighted.mend(mesh, mesh.mended if attempt == 1 else None)
+            one, other = (np.concatenate([s, at[before:] <= 0]) for s, at in zip(sets, mesh.levels, strict=True))
+            sets = one, other
         try:
             q, weights, outside = _solve(mesh, sets, part(report, 0.5 + 0.15 * attempt, 1.0))
         except (NumericalError, _TooDeep) as error:
@@ -223,50 +245,955 @@ def _weak(
         if q.min() < -1e-12 or q.max() > 1 + 1e-12:
             last = NumericalError("q leaves [0, 1]")
             continue
-        return _System(mesh, ops, count, parents, sets, outside, weights, np.clip(q, 0, 1), beta, attempt)
-    if isinstance(last, _TooDeep):
-        raise NumericalError(
-            f"barriers around point {last.args[0]} are too high for double precision: q is lost there; take a smaller beta, "
-            "or count the well there to A or B"
-        )
-    raise NumericalError(f"the committor could not be solved for: {last}; clip the potential or take a smaller beta")
+        return _System(mesh, ops, count, tuple(parents), sets, outside, weights, np.clip(q, 0, 1), beta)
+    # What is left once no conduction is negative is rounding: a well whose way out is lost beside its own conduction.
+    outside = np.where(members[0] | members[1], np.inf, u)
+    deepest = last.args[0] if isinstance(last, _TooDeep) and last.args[0] < count else int(np.argmin(outside))
+    raise NumericalError(
+        f"barriers around the well at point {deepest} are too high for double precision, q is lost there: take a smaller beta, or count "
+        "the well to A or B"
+    ) from last
+
+
+def _strong(ops: Operators, u: Floats, a: Mask, b: Mask, circulation: Floats | None, beta: float) -> tuple[Floats, Floats]:
+    """q by Δq - grad(β U) · grad q + β circulation · grad q = 0 at each point, and its gradient (n, D)."""
+    if not isinstance(ops, CloudOperators):
+        raise InputError("method='strong' stands on moving least squares, which are there for clouds; meshes have the weak form")
+    if not isinstance(ops, LeastSquaresOperators):
+        made = operators(ops.shape, laplacian="mls")
+        assert isinstance(made, LeastSquaresOperators)
+        ops = made
+    count, space = ops.coordinates.shape
+    gradient = ops.gradient
+    drift = -(gradient @ u).reshape(count, space)
+    if circulation is not None:
+        drift = drift + beta * circulation
+    rows = np.repeat(np.arange(count), space)
+    along = sparse.csr_array(sparse.coo_array((drift.ravel(), (rows, np.arange(count * space))), shape=(count, count * space)))
+    matrix = sparse.csr_array(ops.laplacian + along @ gradient)
+    if ops.boundary.any():  # nothing leaves: the derivative outwards is 0
+        near = nearest_neighbors(ops.coordinates, ops.coordinates, min(16, count))[0]
+        outward = ops.coordinates - ops.coordinates[near].mean(1)
+        outward = np.einsum("nd,ndD->nD", np.einsum("ndD,nD->nd", ops.frames, outward), ops.frames)
+        outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-300)[:, None]
+        across = sparse.csr_array(sparse.coo_array((outward.ravel(), (rows, np.arange(count * space))), shape=(count, count * space)))
+        rim = sparse.diags_array(ops.boundary.astype(float))
+        matrix = sparse.csr_array((sparse.eye_array(count) - rim) @ matrix + rim @ (across @ gradient))
+    free = np.flatnonzero(~(a | b))
+    q = b.astype(float)
+    scale = 1 / np.maximum(abs(matrix).sum(1), 1e-300)[free]
+    inner = sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
+    try:
+        q[free] = splu(inner).solve(-scale * (matrix[free] @ q))
+    except RuntimeError as error:
+        raise NumericalError(f"the strong form has no solution on these points ({error}); take the weak form, or more points") from None
+    if not np.isfinite(q).all():
+        raise NumericalError("the strong form has no finite solution on these points; take the weak form, or more points")
+    return q, (gradient @ q).reshape(count, space)
+
+
+def _rotating(system: _System, circulation: Floats, backwards: bool) -> Floats:
+    """q of a drift with a part that keeps the Gibbs density: exponentially fitted on each edge, so that 0 <= q <= 1 still."""
+    mesh, (a, b) = system.mesh, system.sets
+    sign = -1.0 if backwards else 1.0
+    field = system.prolong(circulation)
+    step = mesh.points[mesh.second] - mesh.points[mesh.first]
+    peclet = sign * system.beta * np.einsum("eD,eD->e", (field[mesh.first] + field[mesh.second]) / 2, step)
+    peclet = np.clip(peclet, -700, 700)
+    size = np.where(np.abs(peclet) < 1e-6, 1.0, peclet)
+    ahead = np.where(np.abs(peclet) < 1e-6, 1 + peclet / 2, size / -np.expm1(-size))  # z / (1 - exp(-z)), seen from the first end
+    behind = ahead - peclet
+    k = np.maximum(system.conductance, 0)
+    n, (i, j) = len(mesh.points), (mesh.first, mesh.second)
+    rows, columns = np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j])
+    values = np.concatenate([-k * ahead, -k * behind, k * ahead, k * behind])
+    matrix = sparse.csr_array(sparse.coo_array((values, (rows, columns)), shape=(n, n)))
+    free = np.flatnonzero(~(a | b))
+    q = (a if backwards else b).astype(float)
+    scale = 1 / matrix.diagonal()[free]
+    inner = sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
+    q[free] = splu(inner).solve(-scale * (matrix[free] @ q))
+    if not np.isfinite(q).all():
+        raise NumericalError("the committor of this circulation is not finite; its drift is too strong for the spacing of the points")
+    found: Floats = np.clip(q, 0, 1)
+    return found
+
+
+# --- what samples say about U ------------------------------------------------------------------------------------------------------
+
+
+def sample_density(shape: Shape | Operators, *, weights: Any = None, neighbors: int | None = None) -> Floats:
+    """Density of the samples of a cloud: samples, or their weights, per unit of area; its integral is 1.
+
+    The logarithm of the points' areas in the local mesh, whose scatter does not depend on the density, is fitted by a cubic around
+    each point: in valleys narrower than the neighbourhood nothing is smeared out, and points at the rim, whose areas are cut off, do
+    not count.
+
+    Parameters
+    ----------
+    shape : PointCloud or Operators
+    weights : array_like (n,), optional
+        Of the samples, at least 0; the cloud's own, or 1 for each.
+    neighbors : int, optional
+        How many a fit takes: 40, 128 and 250 in one, two and three dimensions.
+
+    Returns
+    -------
+    ndarray (n,)
+        In one over units of length^d; its sum times ``ops.mass`` is 1.
+
+    Raises
+    ------
+    InputError
+        The shape is no cloud, or the weights are negative somewhere or 0 everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> cloud = bt.PointCloud(np.random.default_rng(0).random((4000, 2)))
+    >>> bool(abs(np.median(bt.sample_density(cloud)) - 1) < 0.1)
+    True
+    """
+    ops = operators(shape)
+    if not isinstance(ops, CloudOperators):
+        raise InputError("densities of samples are there for clouds")
+    points, mass = ops.shape.points, ops.mass
+    count = {1: 40, 2: 128, 3: 250}[ops.shape.dimension] if neighbors is None else arrays.whole(neighbors, "neighbors", 2)
+    found = np.exp(-weighted.smoothed(ops, np.log(mass), (~ops.boundary).astype(float), count))
+    given = weights if weights is not None else ops.shape.weights
+    if given is not None:
+        weight = arrays.floats(given, "weights", (len(points),))
+        if (weight < 0).any() or not weight.sum() > 0:
+            raise InputError("weights are negative somewhere or 0 everywhere; importance weights are at least 0")
+        known = weight > 0
+        weight = weight / weight.max()
+        trend = np.exp(np.clip(weighted.smoothed(ops, np.log(np.where(known, weight, 1.0)), known.astype(float), count), -600, 600))
+        # the weights scatter about the trend of their logarithm: their mean over it, nearby
+        indices, distances = nearest_neighbors(points, points, min(count, len(points)))
+        kernel = np.maximum(1 - np.square(distances / np.maximum(distances[:, -1:], 1e-300)), 1e-12)
+        found = found * trend * (kernel * (weight / trend)[indices]).sum(1) / kernel.sum(1)
+    return np.asarray(found / (found @ mass), float)
+
+
+def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float = 1e-10) -> Floats:
+    """Weights that make samples taken at several temperatures a sample at one (multistate reweighting).
+
+    Parameters
+    ----------
+    energies : array_like (n,)
+        Potential energy of each sample: of the whole system, not a free energy.
+    sample_betas : array_like (n,)
+        Inverse temperature at which each was taken.
+    beta : float
+        That of the answer.
+    tolerance : float
+        On the free energies, in units of kT.
+
+    Returns
+    -------
+    ndarray (n,)
+        They sum to 1.
+
+    References
+    ----------
+    Shirts and Chodera, Statistically optimal analysis of samples from multiple equilibrium states, 2008, equation (11).
+
+    Examples
+    --------
+    >>> import beltrami as bt
+    >>> bt.reweight([0.0, 1.0], [1.0, 1.0], 1.0).tolist()
+    [0.5, 0.5]
+    """
+    energy = arrays.floats(energies, "energies", (None,))
+    betas = arrays.floats(sample_betas, "sample_betas", (len(energy),))
+    wanted = arrays.number(beta, "beta", above=0.0)
+    if len(energy) == 0 or (betas <= 0).any():
+        raise InputError("sample_betas must be positive, one a sample")
+    states, counts = np.unique(betas, return_counts=True)
+    if len(states) > 1000:
+        raise InputError(f"{len(states)} different temperatures; up to 1000 can be reweighted")
+    shifted = energy - energy.min()
+    bias = -states[:, None] * shifted[None]
+    free = np.zeros(len(states))
+    for _ in range(10_000):
+        mixture = logsumexp(np.log(counts)[:, None] + free[:, None] + bias, axis=0)
+        new = -logsumexp(bias - mixture, axis=1)
+        new -= new[0]
+        done = np.abs(new - free).max() <= tolerance
+        free = new
+        if done:
+            break
+    mixture = logsumexp(np.log(counts)[:, None] + free[:, None] + bias, axis=0)
+    logarithm = -wanted * shifted - mixture
+    weight = np.exp(logarithm - logarithm.max())
+    found: Floats = weight / weight.sum()
+    return found
+
+
+def _sampled(
+    ops: Operators, potential: Any, sampling: str | None, weights: Any, sample_beta: Any, beta: float
+) -> tuple[Floats | None, str]:
+    """Potential at the points where it is to come from the samples, and what was assumed."""
+    if sampling is None:
+        if potential is None:
+            raise InputError(
+                "potential is None; say what the samples are: sampling='gibbs' (of a known temperature), 'weighted' (with importance "
+                "weights) or 'mixed' (of several temperatures, with their energies)"
+            )
+        sampling = "any"
+    if sampling not in get_args(Sampling):
+        raise InputError(f"sampling is {sampling!r}; choose one of {', '.join(map(repr, get_args(Sampling)))}")
+    if sampling == "any":
+        if weights is not None or sample_beta is not None:
+            raise InputError("weights and sample_beta say how points were sampled; sampling='any' asks for neither")
+        if potential is None:
+            raise InputError("sampling='any' needs the potential")
+        return None, "potential given; the points may be samples of any density, areas come from the local mesh"
+    if not isinstance(ops, CloudOperators):
+        raise InputError(f"sampling={sampling!r} takes the potential from the density of samples; a mesh has none")
+    count = len(ops.coordinates)
+    if sampling == "gibbs":
+        if potential is not None or weights is not None:
+            raise InputError("sampling='gibbs' takes the potential from the samples' density; leave out potential and weights")
+        taken = beta if sample_beta is None else arrays.number(sample_beta, "sample_beta", above=0.0)
+        return -np.log(sample_density(ops)) / taken, f"the samples' density is taken for exp(-{taken:g} U)"
+    if sampling == "weighted":
+        if potential is not None or sample_beta is not None:
+            raise InputError(
+                "sampling='weighted' takes the potential from the weighted samples' density; leave potential and sample_beta out"
+            )
+        given = weights if weights is not None else ops.shape.weights
+        if given is None:
+            raise InputError("sampling='weighted' needs weights= (or a cloud with weights)")
+        text = "the weighted samples' density is taken for exp(-beta U)"
+    else:
+        if potential is None or callable(potential) or sample_beta is None:
+            raise InputError("sampling='mixed' needs the energy of each sample as potential, and its inverse temperature as sample_beta")
+        energies = arrays.floats(potential, "potential", (count,))
+        given = reweight(energies, arrays.floats(sample_beta, "sample_beta", (count,)), beta)
+        text = "the samples are reweighted from their temperatures to beta; their density is then taken for exp(-beta U)"
+    found = sample_density(ops, weights=given)
+    empty = np.flatnonzero(~(found > 0))
+    if len(empty):
+        raise InputError(f"the weighted density vanishes at {len(empty)} points ({_some(empty)}); leave samples of no weight out")
+    return -np.log(found) / beta, text
+
+
+# --- results -----------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CommittorDiagnostics:
+    """How far a committor can be trusted.
+
+    Attributes
+    ----------
+    outside : float
+        Share of the points whose q was outside [0, 1] before it was clipped; 0 for the weak form.
+    pieces : int
+        Connected pieces of the shape.
+    certified : float or None
+        Share of certified stars; None for meshes.
+    transition_points : int
+        Points with 0.1 < q < 0.9.
+    effective_sample_size : float
+        (Σ g)² / Σ g² of the Gibbs weights g of the points.
+    transition_sample_size : float
+        The same of g q (1 - q): how many points carry the transition.
+    steepest : float
+        Greatest β |ΔU| along an edge where the current flows (mean over the current).
+    mended : int
+        Triangles whose conduction was changed for 0 <= q <= 1.
+    rate_mismatch : float
+        Relative difference of the two estimates of the rate.
+    """
+
+    outside: float
+    pieces: int
+    certified: float | None
+    transition_points: int
+    effective_sample_size: float
+    transition_sample_size: float
+    steepest: float
+    mended: int
+    rate_mismatch: float
+
+    @property
+    def concerns(self) -> tuple[str, ...]:
+        """What speaks against the answer, in words; empty if nothing does."""
+        found = []
+        if self.outside > 0.01:
+            found.append(f"q leaves [0, 1] at {100 * self.outside:.2g} % of the points")
+        if self.transition_sample_size < 30:
+            found.append(f"only {self.transition_sample_size:.0f} points effectively carry the transition: sample there")
+        if self.steepest > 3:
+            found.append(f"beta U changes by {self.steepest:.2g} along the edges that carry the current: take more points there")
+        if self.certified is not None and self.certified < 0.99:
+            found.append(f"{100 * (1 - self.certified):.2g} % of the stars are not certified")
+        if self.rate_mismatch > 0.1:
+            found.append(f"the two estimates of the rate differ by {100 * self.rate_mismatch:.2g} %")
+        return tuple(found)
+
+    @property
+    def verdict(self) -> str:
+        """One line: sound, or what is wrong."""
+        return "sound" if not self.concerns else "doubtful: " + "; ".join(self.concerns)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeEnergyResult:
+    """Free energy along the committor: ``-log(density of q) / β``, least value 0; inf where no point is.
+
+    ``q`` (bins,) are the middles of the bins, ``free_energy`` (bins,) in units of the potential.
+    """
+
+    q: Floats
+    free_energy: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class IsocommittorResult:
+    """Where q has one value: ``points`` (k, D) on the edges that cross it, ``flux`` (k,) the share of the reactive trajectories through
+    each, and their sum 1."""
+
+    level: float
+    points: Floats
+    flux: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CommittorResult:
-    """x"""
+    """The committor and what follows from it.
+
+    Attributes
+    ----------
+    shape : TriangleMesh or PointCloud
+    q : ndarray (n,)
+        Probability of reaching B before A from each point: 0 on A, 1 on B.
+    q_backward : ndarray (n,)
+        Probability of having come from A rather than from B; ``1 - q`` unless a circulation was given.
+    rate : float
+        nu_AB, reactive trajectories from A to B a unit of time: the Dirichlet form of q.
+    rate_error : float or None
+        Its standard error, by half-samples; None without ``bootstrap``.
+    rate_flux, rate_flux_error : float
+        The second estimate, the flux through isocommittor surfaces by gradients fitted to q, and how much it differs between them
+        (standard deviation).
+    rate_constant, rate_constant_backward : float
+        k_AB = nu_AB / p_A and k_BA = nu_AB / (1 - p_A).
+    share_A : float
+        p_A, the share of time for which A was visited last.
+    current : ndarray (n, D)
+        Reactive current, exp(-β U) grad q / (β Z): trajectories a unit of time and length; 0 in A and B.
+    reactive_density : ndarray (n,)
+        Probability density of being there and on the way from A to B.
+    potential : ndarray (n,)
+        U that was used, in the user's units, least value 0.
+    in_A, in_B : ndarray (n,) of bool
+    beta : float
+    method : {"weak", "strong"}
+    assumption : str
+        What was assumed about the samples.
+    replicates : ndarray (k,)
+        The rates of the half-samples.
+    diagnostics : CommittorDiagnostics
+        ``diagnostics.verdict`` is one line.
+    """
 
     shape: Shape
     q: Floats
+    q_backward: Floats
     rate: float
+    rate_error: float | None
+    rate_flux: float
+    rate_flux_error: float
     rate_constant: float
+    rate_constant_backward: float
+    share_A: float
     current: Floats
-    system: Any
+    reactive_density: Floats
+    potential: Floats
+    in_A: Mask
+    in_B: Mask
+    beta: float
+    method: Method
+    assumption: str
+    replicates: Floats
+    diagnostics: CommittorDiagnostics
+    _system: _System
+    _partition: float
+    _kept: npt.NDArray[np.int64] | None = None
 
-def committor(shape, potential, A, B, *, beta, refine=None, progress=None):
+    def __repr__(self) -> str:
+        error = "" if self.rate_error is None else f" ± {self.rate_error:.2g}"
+        return f"CommittorResult({len(self.q)} points, rate {self.rate:.6g}{error}, k_AB {self.rate_constant:.6g}, {self.verdict})"
+
+    @property
+    def verdict(self) -> str:
+        """One line: sound, or what is wrong."""
+        return self.diagnostics.verdict
+
+    # times
+
+    @cached_property
+    def passage_time_to_A(self) -> Floats:
+        """(n,): mean time until A is reached from each point, on average over the noise; 0 in A."""
+        return self._spread(_passage(self._system, 0))
+
+    @cached_property
+    def passage_time_to_B(self) -> Floats:
+        """(n,): mean time until B is reached; 0 in B."""
+        return self._spread(_passage(self._system, 1))
+
+    @property
+    def mean_first_passage_times(self) -> tuple[float, float]:
+        """From A to B and from B to A: the start distributed in its set as exp(-β U)."""
+        gibbs = self._system.restrict(self._system.gibbs)
+        a, b = (s[: self._system.count] for s in self._system.sets)
+        there, back = _passage(self._system, 1)[: len(a)], _passage(self._system, 0)[: len(a)]
+        return float(gibbs[a] @ there[a] / gibbs[a].sum()), float(gibbs[b] @ back[b] / gibbs[b].sum())
+
+    # places
+
+    def isocommittor(self, level: float = 0.5) -> IsocommittorResult:
+        """Points where q is ``level`` (0 < level < 1), with the share of the flux through each.
+
+        Examples
+        --------
+        >>> import numpy as np, beltrami as bt
+        >>> mesh = bt.shapes.grid(41, 21, width=2.0)
+        >>> x = mesh.vertices[:, 0]
+        >>> r = bt.committor(mesh, np.zeros_like(x), x <= 0, x >= 2, beta=1.0)
+        >>> bool(abs(r.isocommittor(0.25).points[:, 0] - 0.5).max() < 1e-9)
+        True
+        """
+        height = arrays.number(level, "level", above=0.0)
+        if height >= 1:
+            raise InputError(f"level is {height:g}; it must be between 0 and 1")
+        system = self._system
+        one, other = system.q[system.mesh.first], system.q[system.mesh.second]
+        crossing = np.flatnonzero((one > height) != (other > height))
+        one, other = one[crossing], other[crossing]
+        share = ((height - one) / (other - one))[:, None]
+        points = system.mesh.points[system.mesh.first[crossing]] * (1 - share) + system.mesh.points[system.mesh.second[crossing]] * share
+        flux = system.conductance[crossing] * np.abs(other - one)
+        return IsocommittorResult(height, points, flux / flux.sum())
+
+    def transition_states(self, width: float = 0.05) -> npt.NDArray[np.int64]:
+        """Numbers of the points with \\|q - 1/2\\| <= width, the most probable ones (greatest exp(-β U)) first."""
+        half = arrays.number(width, "width", above=0.0)
+        found = np.flatnonzero((np.abs(self.q - 0.5) <= half) & ~self.in_A & ~self.in_B)
+        return found[np.argsort(self.potential[found], kind="stable")]
+
+    def free_energy(self, bins: int = 50) -> FreeEnergyResult:
+        """Free energy along q: of the density of q outside A and B, (bins,), in units of the potential."""
+        count = arrays.whole(bins, "bins", 1, 100_000)
+        system = self._system
+        free = ~(system.sets[0] | system.sets[1])
+        amount, edges = np.histogram(system.q[free], bins=count, range=(0.0, 1.0), weights=system.gibbs[free])
+        with np.errstate(divide="ignore"):
+            energy = -np.log(amount * count) / self.beta
+        return FreeEnergyResult((edges[1:] + edges[:-1]) / 2, energy - energy.min() if len(energy) else energy)
+
+    def path(self) -> Floats:
+        """The maximum-flux path from A to B, (k, D): of all paths along edges the one with the least ∫ exp(β U) ds.
+
+        References
+        ----------
+        Berkowitz, Morgan, McCammon, Northrup, Diffusion-controlled reactions: a variational formula for the optimum reaction path, 1983.
+        """
+        system = self._system
+        mesh, (a, b) = system.mesh, system.sets
+        length = np.linalg.norm(mesh.points[mesh.first] - mesh.points[mesh.second], axis=1)
+        cost = length / np.maximum(system.weights, 1e-300)
+        cost = cost / cost[system.mesh.edge_conduction > 0].min()
+        n = len(mesh.points)
+        graph = sparse.csr_array(sparse.coo_array((cost, (mesh.first, mesh.second)), shape=(n, n)))
+        sources = np.flatnonzero(a)
+        distance, before, _ = dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)
+        ends = np.flatnonzero(b & np.isfinite(distance))
+        at = int(ends[np.argmin(distance[ends])])
+        chain = []
+        while at >= 0:
+            chain.append(at)
+            at = int(before[at])
+        return mesh.points[chain[::-1]].copy()
+
+    def streamlines(self, count: int = 20, *, rng: int | np.random.Generator = 0) -> list[Floats]:
+        """Lines of the mean reactive current from A to B, (k, D) each, started where the flux through q = 1/2 is, in proportion to it."""
+        wanted = arrays.whole(count, "count", 1, 100_000)
+        generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(arrays.whole(rng, "rng", 0))
+        middle = self.isocommittor(0.5)
+        # systematic sampling: evenly over the flux, whatever the order of the edges
+        order = np.argsort(middle.points @ np.linalg.svd(middle.points - middle.points.mean(0), full_matrices=False)[2][0], kind="stable")
+        marks = (np.arange(wanted) + generator.random()) / wanted
+        chosen = order[np.minimum(np.searchsorted(np.cumsum(middle.flux[order]), marks), len(order) - 1)]
+        starts = middle.points[chosen]
+        ahead, behind = _follow(self, starts, 1.0), _follow(self, starts, -1.0)
+        return [np.concatenate([back[::-1], there[1:]]) for back, there in zip(behind, ahead, strict=True)]
+
+    def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints q with its contours; the options are those of :func:`beltrami.plot`."""
+        shown = {"label": "committor", "limits": (0.0, 1.0), **options}
+        if self._dimension == 2 and "contours" not in shown:
+            shown["contours"] = [k / 10 for k in range(1, 10)]
+        return plot(self.shape, self.q, path=path, **shown)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``, a row a point to ``.csv``, or a picture to ``.png`` or ``.html``."""
+        file = Path(path)
+        suffix = file.suffix.lower()
+        if suffix in (".png", ".html"):
+            self.plot(path=file)
+            return file
+        if suffix not in (".npz", ".csv"):
+            raise InputError(f"{file}: a committor is written to .npz, .csv, .png or .html")
+        table = self.table()
+        try:
+            if suffix == ".npz":
+                with file.open("wb") as stream:
+                    np.savez_compressed(stream, **table, **self.scalars())  # type: ignore[arg-type]
+            else:
+                rows = np.column_stack([np.asarray(column, float) for column in table.values()])
+                names = [f"{name}_{k}" if array.ndim == 2 else name for name, array in table.items() for k in range(array[0].size)]
+                np.savetxt(file, rows, delimiter=",", header=",".join(names), comments="", fmt="%.17g")
+        except OSError as error:
+            raise FileError(f"{file} cannot be written: {error.strerror or error}") from None
+        return file
+
+    def table(self) -> dict[str, npt.NDArray[Any]]:
+        """The arrays with a row a point."""
+        points = self.shape.points if isinstance(self.shape, PointCloud) else self.shape.vertices
+        names = ("q", "q_backward", "current", "reactive_density", "potential", "in_A", "in_B")
+        return {"points": points, **{name: getattr(self, name) for name in names}}
+
+    def scalars(self) -> dict[str, float]:
+        """The rates, and what certifies them."""
+        found = {"beta": self.beta, "rate": self.rate, "rate_flux": self.rate_flux, "rate_flux_error": self.rate_flux_error}
+        found |= {"rate_constant": self.rate_constant, "rate_constant_backward": self.rate_constant_backward, "share_A": self.share_A}
+        return found if self.rate_error is None else {**found, "rate_error": self.rate_error}
+
+    @property
+    def _dimension(self) -> int:
+        return self.shape.dimension if isinstance(self.shape, PointCloud) else 2
+
+    def _spread(self, values: Floats) -> Floats:
+        """Values at the nodes as values at the shape's points: the nearest one's where points were thinned out."""
+        own = values[: self._system.count]
+        if self._kept is None:
+            return own.copy()
+        base = nearest_neighbors(self._system.mesh.points[: self._system.count], _positions(self.shape), 1)[0][:, 0]
+        return own[base]
+
+
+def _positions(shape: Shape) -> Floats:
+    return shape.points if isinstance(shape, PointCloud) else shape.vertices
+
+
+def _passage(system: _System, which: int) -> Floats:
+    """Mean time until a set is reached: ∫ exp(-β U) grad t · grad v = β ∫ exp(-β U) v, t = 0 there."""
+    mesh = system.mesh
+    only = tuple(s if k == which else np.zeros_like(s) for k, s in enumerate(system.sets))
+    conductance = mesh.edge_conduction * system.weights / weighted.cut(mesh, (only[0], only[1]))
+    members = system.sets[which]
+    free = np.flatnonzero(~members)
+    reach = np.zeros(len(members))
+    graph = sparse.coo_array((np.ones(len(mesh.first)), (mesh.first, mesh.second)), shape=(len(members),) * 2)
+    label = connected_components(graph, directed=False)[1]
+    joined = np.isin(label[free], label[members])
+    reach[free[~joined]] = np.inf
+    free = free[joined]
+    matrix = weighted.laplacian(len(members), mesh.first, mesh.second, conductance)[free][:, free]
+    scale = 1 / np.sqrt(matrix.diagonal())
+    factor = Cholesky(sparse.csr_array(matrix.multiply(scale[:, None]).multiply(scale[None])), mesh.points[free])
+    reach[free] = factor.solve(system.beta * system.gibbs[free] * scale) * scale
+    return reach
+
+
+def _follow(result: CommittorResult, starts: Floats, sign: float) -> list[Floats]:
+    """Lines along the current from each start, until the nearest point is in A or B."""
+    system = result._system
+    points = system.mesh.points[: system.count]
+    current = result.current if result._kept is None else _current(system, result._partition)
+    size = np.linalg.norm(current, axis=1)
+    typical = np.maximum(size, 1e-300)
+    ops = system.ops
+    frames = ops.frames if isinstance(ops, CloudOperators) and ops.shape.dimension < points.shape[1] else None
+    count = min(7, len(points))
+    place, lines, moving = starts.copy(), [[start] for start in starts], np.arange(len(starts))
+    target = system.sets[1 if sign > 0 else 0][: system.count]
+    other = system.sets[0 if sign > 0 else 1][: system.count]
+    reach = nearest_neighbors(points, points, min(7, len(points)))[1][:, -1]
+
+    def direction(at: Floats) -> tuple[Floats, Floats, npt.NDArray[Any]]:
+        near, distance = nearest_neighbors(points, at, count)
+        width = np.maximum(distance[:, -1:], 1e-300)
+        weight = np.exp(-3 * np.square(distance / width)) * (size[near] > 0)
+        unit = np.einsum("sk,skD->sD", weight, current[near] / typical[near][:, :, None])
+        length = np.linalg.norm(unit, axis=1)
+        return sign * unit / np.maximum(length, 1e-300)[:, None], length, near[:, 0]
+
+    for _ in range(20_000):
+        if len(moving) == 0:
+            break
+        here = place[moving]
+        first, length, near = direction(here)
+        alive = (length > 1e-12) & ~target[near] & ~other[near]
+        moving, here, first, near = moving[alive], here[alive], first[alive], near[alive]
+        if len(moving) == 0:
+            break
+        step = 0.25 * reach[near][:, None]
+        second, length, _ = direction(here + step / 2 * first)
+        new = here + step * np.where((length > 1e-12)[:, None], second, first)
+        if frames is not None:  # back to the surface: the part of the offset that is normal at the nearest point shrinks
+            nearest = nearest_neighbors(points, new, 1)[0][:, 0]
+            offset = new - points[nearest]
+            tangent = np.einsum("sdD,sd->sD", frames[nearest], np.einsum("sdD,sD->sd", frames[nearest], offset))
+            new = points[nearest] + tangent
+        place[moving] = new
+        for at, position in zip(moving.tolist(), new, strict=True):
+            lines[at].append(position)
+    return [np.array(line) for line in lines]
+
+
+# --- the door ----------------------------------------------------------------------------------------------------------------------
+
+
+def _current(system: _System, partition: float, backward: Floats | None = None, circulation: Floats | None = None) -> Floats:
+    """Reactive current at the points; for a dynamics that is not reversible also its other two terms."""
+    corners = system.mesh.simplices.shape[1]
+    spread = np.stack(
+        [np.bincount(system.mesh.simplices.ravel(), np.repeat(v / corners, corners), len(system.q)) for v in system.vectors.T], 1
+    )
+    area = system.restrict(system.mesh.mass)
+    found: Floats = system.restrict(spread) / np.where(area > 0, area, 1.0)[:, None] / (system.beta * partition)
+    if backward is not None and circulation is not None:
+        # q- grad q+ - q+ grad q-, with exp(-βU) / (βZ), and what circulates of the reactive density
+        turned = _current(replace(system, q=backward), partition)
+        q, q_backward, gibbs = system.q[: system.count], backward[: system.count], np.exp(-system.mesh.potential[: system.count])
+        found = q_backward[:, None] * found - q[:, None] * turned + (gibbs * q * q_backward / partition)[:, None] * circulation
+    found[(system.sets[0] | system.sets[1])[: system.count]] = 0
+    return found
+
+
+def _recovered(ops: Operators, values: Floats) -> Floats:
+    """Gradient at the points: fitted for clouds, averaged over triangles for meshes."""
+    if isinstance(ops, CloudOperators):
+        return weighted.fit(ops, values).gradients
+    space = ops.coordinates.shape[1]
+    faces = ops.shape.faces  # type: ignore[union-attr]
+    slopes = (ops.simplex_gradient @ values).reshape(-1, space)
+    total = np.bincount(faces.ravel(), np.repeat(ops.simplex_areas, 3), len(values))
+    found = np.stack([np.bincount(faces.ravel(), np.repeat(ops.simplex_areas * s, 3), len(values)) for s in slopes.T], 1)
+    return np.asarray(found / np.where(total > 0, total, 1.0)[:, None], float)
+
+
+def _fluxes(system: _System, partition: float, slabs: int = 8) -> Floats:
+    """Flux through ``slabs`` layers between q = 0.1 and 0.9, by gradients fitted at the points: (slabs,).
+
+    Fitted is the normal quantile of q, which is nearly linear across a barrier where q itself is steep.
+    """
+    mesh, q = system.mesh, system.q
+    quantile = ndtri(np.clip(q[: system.count], TAIL, 1 - TAIL))
+    gradient = system.prolong(_recovered(system.ops, quantile))
+    square = np.square(gradient[mesh.simplices].mean(1)).sum(1)
+    middle = ndtri(np.clip(q[mesh.simplices].mean(1), TAIL, 1 - TAIL))
+    # exp(-βU) |grad q| is smooth, exp(-βU) is not: harmonic means along the edges, averaged
+    weight = system.weights[mesh.pairs].mean(1)
+    energy = mesh.volumes * weight * square * np.exp(-middle * middle) / (2 * np.pi * system.beta * partition)
+    low, high = q[mesh.simplices].min(1), q[mesh.simplices].max(1)
+    width = np.maximum(high - low, 1e-300)
+    below = [np.clip((level - low) / width, 0, 1) for level in np.linspace(0.1, 0.9, slabs + 1)]
+    return np.array([(energy * (upper - lower)).sum() for lower, upper in itertools.pairwise(below)]) * slabs / 0.8
+
+
+def committor(
+    shape: Shape | Operators,
+    potential: Any,
+    A: Any,
+    B: Any,
+    *,
+    beta: float,
+    method: Method = "weak",
+    sampling: Sampling | None = None,
+    weights: Any = None,
+    sample_beta: Any = None,
+    circulation: Any = None,
+    refine: int | None = None,
+    max_points: int | None = None,
+    bootstrap: int = 0,
+    block: int = 1,
+    rng: int | np.random.Generator = 0,
+    progress: Progress = None,
+) -> CommittorResult:
+    """Probability of reaching B before A, and the rate of reactions from A to B, for ``dX = -grad U dt + sqrt(2 / β) dW`` on a shape.
+
+    Parameters
+    ----------
+    shape : PointCloud, TriangleMesh or Operators
+        Points of any density in R^D; a cloud of dimension 1, 2 or 3. Where it ends, trajectories are reflected.
+    potential : array_like (n,), callable, or None
+        U at the points; or a function of (k, D) positions with (k,) values, which is then evaluated between the points too; or None where
+        U is to come from the samples (see ``sampling``).
+    A, B : array_like of bool (n,), of point numbers, or callable
+        Disjoint sets. A callable is a level function of (k, D) positions, negative inside: edges that cross its rim are cut there. Of other
+        sets the rim is taken to lie half-way to the points around, or at the outermost members where these lie in a row.
+    beta : float
+        Inverse temperature, in one over the units of the potential.
+    method : {"weak", "strong"}
+        Linear elements weighted by exp(-β U) on the local mesh (or on the mesh's triangles); or collocation by moving least squares,
+        a cross-check for clouds that are dense enough.
+    sampling : {"any", "gibbs", "weighted", "mixed"}, optional
+        ``"any"`` (where a potential is given): the points may be samples of any density. ``"gibbs"``: no potential; the points are samples
+        of exp(-sample_beta U). ``"weighted"``: no potential; samples with ``weights`` stand for exp(-β U). ``"mixed"``: ``potential`` is
+        the energy of each sample, which was taken at its ``sample_beta``; they are reweighted to β. In the last three U is the free
+        energy on the shape, from the samples' (weighted) density.
+    weights : array_like (n,), optional
+        Importance weights for ``"weighted"``; the cloud's own by default.
+    sample_beta : float or array_like (n,), optional
+        Inverse temperature of the samples for ``"gibbs"`` (default β) and ``"mixed"`` (one a sample).
+    circulation : array_like (n, D), optional
+        A further drift ``l`` that keeps the Gibbs density, ``div(exp(-β U) l) = 0``: the dynamics is then not reversible, and
+        ``q_backward`` is solved for too.
+    refine : int, optional
+        How often triangles are split in four, U a quadratic on each: 1 for surfaces by default, 0 is faster; surfaces only.
+    max_points : int, optional
+        Clouds with more points are thinned out evenly to about so many; q is fitted to the others. Densities count all points.
+    bootstrap : int
+        How many half-samples (without replacement) the error of the rate is estimated from; 0 for none. Clouds only.
+    block : int
+        Points are drawn in blocks of so many consecutive ones: for trajectories, their correlation time.
+    rng : int or numpy Generator
+        Of the half-samples.
+    progress : callable or True, optional
+
+    Returns
+    -------
+    CommittorResult
+        ``r.q``, ``r.rate``, ``r.rate_constant``, ``r.current``, ``r.verdict`` and more. Time is counted in units of length² β.
+
+    Raises
+    ------
+    InputError
+        A or B is empty, they overlap, a number is not finite, beta is not positive, or arguments contradict each other.
+    TopologyError
+        Points reach neither A nor B, or these lie in different pieces; the message names points.
+    NumericalError
+        exp(-β U) underflows at points that are named, or barriers are too high for double precision.
+
+    References
+    ----------
+    E and Vanden-Eijnden, Towards a theory of transition paths, 2006.
+    Lai and Lu, Point cloud discretization of Fokker-Planck operators for committor functions, 2018.
+    Scharfetter and Gummel, Large-signal analysis of a silicon Read diode oscillator, 1969.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> x = np.random.default_rng(0).uniform([-1.6, -1], [1.6, 1], (2000, 2))
+    >>> r = bt.committor(
+    ...     bt.PointCloud(x), lambda x: (x[:, 0] ** 2 - 1) ** 2, lambda x: x[:, 0] + 1, lambda x: 1 - x[:, 0], beta=4.0
+    ... )
+    >>> bool(abs(r.q[abs(x[:, 0]) < 0.02] - 0.5).max() < 0.03), r.verdict
+    (True, 'sound')
+    """
     report = reporter(progress, "committor")
     beta = arrays.number(beta, "beta", above=0.0)
-    ops = operators(shape, progress=part(report, 0, 0.4)) if not isinstance(shape, Operators) else shape
-    points = _places(ops)
-    energy = _potential(potential, points)
-    least = float(energy.min())
-    with np.errstate(over="ignore"):
-        u = beta * (energy - least)
+    replicates = arrays.whole(bootstrap, "bootstrap", 0, 10_000)
+    length = arrays.whole(block, "block", 1)
+    if method not in get_args(Method):
+        raise InputError(f"method is {method!r}; choose one of {', '.join(map(repr, get_args(Method)))}")
+    given = shape.shape if isinstance(shape, Operators) else shape
+    first = part(report, 0.0, 0.4 / (1 + replicates))
+    ops = shape if isinstance(shape, Operators) else operators(shape, progress=first)
+    points = ops.coordinates
+    if replicates and not isinstance(given, PointCloud):
+        raise InputError("bootstrap draws half of the samples again and again; a mesh has no samples")
     a, level_a = _members(A, points, "A")
     b, level_b = _members(B, points, "B")
-    _checked(ops, u, a, b, beta)
-    def exact(places):
-        return beta * (_called(potential, places, "potential") - least)
-    functions = tuple((lambda f, name: (lambda p: _called(f, p, name)))(f, name) if callable(f) else None for f, name in ((A, "A"), (B, "B")))
+    energy, assumption = _sampled(ops, potential, sampling, weights, sample_beta, beta)
+    function = potential if energy is None and callable(potential) else None
+    if energy is None:
+        energy = _potential(potential, points)
+    drift = None if circulation is None else arrays.floats(circulation, "circulation", points.shape)
+    least = float(energy.min())
+    energy = energy - least
+    with np.errstate(over="ignore"):
+        u = beta * energy
+    _checked(u, a, b, beta)
+    kept = None
+    if max_points is not None:
+        kept = _thinned(ops, arrays.whole(max_points, "max_points", 10), a, b)
+    if kept is not None:
+        assert isinstance(given, PointCloud)
+        normals = None if given.normals is None else given.normals[kept]
+        ops = operators(PointCloud(points[kept], dimension=given.dimension, normals=normals))
+    part_of = slice(None) if kept is None else kept
+
+    def exact(places: Floats) -> Floats:
+        return beta * (_called(function, places, "potential") - least)  # type: ignore[arg-type]
+
+    def level_of(given: Any, name: str) -> Function | None:
+        return (lambda places: _called(given, places, name)) if callable(given) else None
+
     if refine is None:
-        refine = int(_dimension(ops) == 2 and len(points) <= REFINED)
-    s = _weak(ops, u, exact if callable(potential) else None, (a, b), functions, (level_a, level_b), beta, refine, report)
-    z = float(s.gibbs.sum())
-    difference = s.q[s.mesh.first] - s.q[s.mesh.second]
-    rate = float((s.conductance * difference * difference).sum()) / (beta * z)
-    share_a = float((s.gibbs * (1 - s.q)).sum()) / z
-    corners = s.mesh.simplices.shape[1]
-    spread = np.stack([np.bincount(s.mesh.simplices.ravel(), np.repeat(v / corners, corners), len(s.q)) for v in s.vectors.T], 1)
-    current = s.restrict(spread) / s.restrict(s.mesh.mass)[:, None] / (beta * z)
-    current[a | b] = 0
-    return CommittorResult(ops.shape, s.q[:s.count], rate, rate / share_a, current, s)
+        levels = 1 if _dimension(ops) == 2 and method == "weak" else 0
+    else:
+        levels = arrays.whole(refine, "refine", 0, 3)
+        if levels and (_dimension(ops) != 2 or method != "weak"):
+            raise InputError(f"refine is {levels}; triangles are split, and only in the weak form")
+    system = _weak(
+        ops, u[part_of], None if function is None else exact, (a[part_of], b[part_of]), (level_of(A, "A"), level_of(B, "B")),
+        tuple(None if level is None else level[part_of] for level in (level_a, level_b)), beta, levels,
+        part(report, 0.4 / (1 + replicates), 1.0 / (1 + replicates)),
+    )  # fmt: skip
+    outside = 0.0
+    partition = float(system.gibbs.sum())
+    jump = system.q[system.mesh.first] - system.q[system.mesh.second]
+    if method == "strong":
+        values, slopes = _strong(ops, u[part_of], a[part_of], b[part_of], None if drift is None else drift[part_of], beta)
+        outside = float(((values < -1e-10) | (values > 1 + 1e-10)).mean())
+        system = replace(system, q=np.clip(values, 0, 1))
+        rate = float(system.gibbs @ np.square(slopes).sum(1)) / (beta * partition)
+    else:
+        if drift is not None:
+            system = replace(system, q=_rotating(system, drift[part_of], False))
+            jump = system.q[system.mesh.first] - system.q[system.mesh.second]
+        rate = float((system.conductance * jump * jump).sum()) / (beta * partition)
+    backward = 1 - system.q if drift is None else _rotating(system, drift[part_of], True)
+    if not (np.isfinite(rate) and rate > 0):
+        raise NumericalError(f"the rate is {rate:g}: out of the range of double precision; measure in other units, or take a smaller beta")
+    share_a = float(system.gibbs @ backward) / partition
+    fluxes = _fluxes(system, partition)
+    flux, flux_error = float(fluxes.mean()), float(fluxes.std(ddof=1))
+    current = _current(system, partition, backward if drift is not None else None, drift[part_of] if drift is not None else None)
+    q, q_backward = system.q[: system.count].copy(), backward[: system.count].copy()
+    if kept is not None:
+        base = nearest_neighbors(points[kept], points, 1)[0][:, 0]
+        q, q_backward = (_extended(ops, values, points, base, a, b, one) for values, one in ((q, b), (q_backward, a)))
+        current = current[base]
+        current[a | b] = 0
+    amount = np.exp(-u) / partition
+    errors = np.zeros(0)
+    if replicates:
+        generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(arrays.whole(rng, "rng", 0))
+        assert isinstance(given, PointCloud)
+        halves = {"method": method, "sampling": sampling, "refine": refine, "max_points": max_points, "beta": beta}
+        errors = _half_samples(
+            given, potential, (A, a), (B, b), (weights, sample_beta, drift), halves, replicates, length, generator,
+            part(report, 1.0 / (1 + replicates), 1.0),
+        )  # fmt: skip
+    if report is not None and report(1.0) is False:
+        raise Cancelled("stopped on request")
+    return CommittorResult(
+        shape=given, q=q, q_backward=q_backward, rate=rate, rate_error=_error(errors, rate) if replicates else None, rate_flux=flux,
+        rate_flux_error=flux_error, rate_constant=rate / share_a, rate_constant_backward=rate / (1 - share_a), share_A=share_a,
+        current=current, reactive_density=amount * q * q_backward, potential=energy, in_A=a, in_B=b, beta=beta, method=method,
+        assumption=assumption, replicates=errors, diagnostics=_diagnosed(system, outside, flux / rate - 1), _system=system,
+        _partition=partition, _kept=kept,
+    )  # fmt: skip
+
+
+def _diagnosed(system: _System, outside: float, mismatch: float) -> CommittorDiagnostics:
+    mesh, ops = system.mesh, system.ops
+    gibbs, q = system.restrict(system.gibbs), system.q[: system.count]
+    transition = gibbs * q * (1 - q)
+    used = system.conductance * np.square(system.q[mesh.first] - system.q[mesh.second])
+    used = np.maximum(used, 0)
+    length = 2.0 ** len(system.parents)  # steps of U along the edges of the shape itself
+    steep = length * float(used @ np.abs(mesh.potential[mesh.first] - mesh.potential[mesh.second]) / used.sum()) if used.sum() > 0 else 0.0
+
+    def effective(weights: Floats) -> float:
+        top = float(weights.max())
+        scaled = weights / top if top > 0 else weights
+        return float(scaled.sum() ** 2 / np.square(scaled).sum()) if top > 0 else 0.0
+
+    return CommittorDiagnostics(
+        outside=outside,
+        pieces=int(ops.component_labels.max()) + 1,
+        certified=ops.certified if isinstance(ops, CloudOperators) else None,
+        transition_points=int(((q > 0.1) & (q < 0.9)).sum()),
+        effective_sample_size=effective(gibbs),
+        transition_sample_size=effective(transition),
+        steepest=steep,
+        mended=int(mesh.mended.sum()),
+        rate_mismatch=abs(mismatch),
+    )
+
+
+def _thinned(ops: Operators, most: int, a: Mask, b: Mask) -> npt.NDArray[np.int64] | None:
+    """About ``most`` points that cover a cloud evenly, ascending; none where it has no more."""
+    if not isinstance(ops, CloudOperators):
+        raise InputError("max_points thins out clouds; a mesh stays as it is")
+    points, d = ops.shape.points, ops.shape.dimension
+    if len(points) <= most:
+        return None
+    radius = (float(ops.mass.sum()) / most) ** (1 / d)
+    kept = np.arange(len(points))
+    low, high = 0.0, np.inf
+    for _ in range(12):
+        kept = np.sort(poisson_disc(points, radius)).astype(np.int64)
+        if 0.95 * most <= len(kept) <= most:
+            break
+        low, high = (radius, high) if len(kept) > most else (low, radius)
+        guess = radius * (len(kept) / (0.975 * most)) ** (1 / d)
+        radius = guess if low < guess < high else (low + high) / 2 if np.isfinite(high) else 2 * low
+    for members, name in ((a, "A"), (b, "B")):
+        if not members[kept].any():
+            raise InputError(f"no point of {name} is left of {most}; raise max_points, or enlarge {name}")
+    return kept
+
+
+def _extended(ops: Operators, q: Floats, points: Floats, base: npt.NDArray[Any], a: Mask, b: Mask, one: Mask) -> Floats:
+    assert isinstance(ops, CloudOperators)
+    found = np.clip(weighted.fit(ops, q, 2).at(base, points), 0, 1)
+    found[a | b] = 0
+    found[one] = 1
+    return found
+
+
+def _half_samples(
+    cloud: PointCloud, potential: Any, one: tuple[Any, Mask], other: tuple[Any, Mask], extra: tuple[Any, Any, Any],
+    options: dict[str, Any], replicates: int, block: int, generator: np.random.Generator, report: Any,
+) -> Floats:  # fmt: skip
+    count = len(cloud.points)
+    blocks = -(-count // block)
+    if blocks < 4:
+        raise InputError(f"{count} points make {blocks} blocks of {block}; bootstrap needs 4 or more")
+    weights, sample_beta, drift = extra
+    rates, reason = [], ""
+    for replicate in range(replicates):
+        chosen = np.zeros(blocks, bool)
+        chosen[generator.permutation(blocks)[: blocks // 2]] = True
+        half = np.flatnonzero(np.repeat(chosen, block)[:count])
+        part_of = PointCloud(
+            cloud.points[half], dimension=cloud.dimension, normals=None if cloud.normals is None else cloud.normals[half],
+            weights=None if cloud.weights is None else cloud.weights[half],
+        )  # fmt: skip
+        try:
+            found = committor(
+                part_of, potential if potential is None or callable(potential) else np.asarray(potential)[half],
+                *(given if callable(given) else members[half] for given, members in (one, other)),
+                weights=None if weights is None else np.asarray(weights)[half],
+                sample_beta=np.asarray(sample_beta)[half] if np.ndim(sample_beta) else sample_beta,
+                circulation=None if drift is None else drift[half], **options,
+            )  # fmt: skip
+            rates.append(found.rate)
+        except Cancelled:
+            raise
+        except Error as error:  # a half may fall apart where the whole does not
+            reason = str(error)
+        if report is not None and report((replicate + 1) / replicates) is False:
+            raise Cancelled("stopped on request")
+    if len(rates) < max(2, replicates / 2):
+        raise NumericalError(f"{replicates - len(rates)} of {replicates} half-samples have no committor, the last because: {reason}")
+    return np.array(rates)
+
+
+def _error(replicates: Floats, rate: float) -> float:
+    """Standard error of a rate from those of half-samples: their spread, and how far they are off on average.
+
+    A half-sample's variance about the whole is that of the whole about the truth; and where the error of the discretization goes like
+    1 / n, half of the points have twice of it.
+    """
+    return float(np.hypot(replicates.std(ddof=1), replicates.mean() - rate))

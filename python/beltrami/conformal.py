@@ -344,7 +344,7 @@ def _corner_angles(vertices: Floats, faces: Faces) -> Floats:
     for k in range(3):
         a, b = vertices[faces[:, (k + 1) % 3]] - vertices[faces[:, k]], vertices[faces[:, (k + 2) % 3]] - vertices[faces[:, k]]
         dot = _rows(a, b)
-        cross = _length(_cross(a, b)) if vertices.shape[1] == 3 else np.sqrt(np.maximum(_rows(a, a) * _rows(b, b) - dot ** 2, 0.0))
+        cross = _length(_cross(a, b)) if vertices.shape[1] == 3 else np.sqrt(np.maximum(_rows(a, a) * _rows(b, b) - dot**2, 0.0))
         angles[:, k] = np.arctan2(cross, dot)
     return angles
 

@@ -101,6 +101,35 @@ def fit(ops: CloudOperators, values: Floats, degree: int = 3) -> Fit:
     return Fit(points, frames, values, reach, coefficients, degree)
 
 
+def smoothed(ops: CloudOperators, values: Floats, known: Floats, neighbors: int, degree: int = 3) -> Floats:
+    """Values at the points of polynomials fitted around each, points of weight ``known``; not interpolating."""
+    points, frames, d = ops.shape.points, ops.frames, ops.shape.dimension
+    count = min(neighbors, len(points) - 1)
+    while degree > 0 and 3 * math.comb(d + degree, d) > count:
+        degree -= 1
+    indices, distances = nearest_neighbors(points, points, count + 1)
+    found = np.empty(len(points))
+    chunk = max(1, CHUNK * FIT[d] // count)
+    for start in range(0, len(points), chunk):
+        part = slice(start, min(start + chunk, len(points)))
+        near, share = indices[part], distances[part] / distances[part, -1:]
+        t = np.matmul(points[near] - points[part, None], frames[part].transpose(0, 2, 1)) / distances[part, -1:, None]
+        same_sheet = np.square(t).sum(2) >= (1 - STEEP * STEEP) * np.square(share)
+        weight = np.maximum(1 - np.square(share), 0) * known[near] * same_sheet
+        ones = np.ones((*near.shape, 1))
+        basis = np.concatenate([ones, monomials(t, degree)], 2) if degree else ones
+        weighted = (basis * weight[:, :, None]).transpose(0, 2, 1)
+        matrix, right = np.matmul(weighted, basis), np.matmul(weighted, values[near][:, :, None])
+        size = matrix[:, 0, 0]
+        slopes = np.arange(1, matrix.shape[1])
+        matrix[:, slopes, slopes] += 1e-4 * np.maximum(size, 1e-9)[:, None]  # where little is known the fit is flat
+        empty = size <= 0
+        matrix[empty, 0, 0] = 1.0
+        right[empty, 0, 0] = values[part][empty]
+        found[part] = np.linalg.solve(matrix, right)[:, 0, 0]
+    return found
+
+
 # --- elements ----------------------------------------------------------------------------------------------------------------------
 
 
@@ -146,11 +175,12 @@ def harmonic_mean(one: Floats, other: Floats, bow: Floats) -> Floats:
     steep = z > 1e-5
     safe = np.where(steep, z, 1.0)
     linear = np.exp(-low) * np.where(steep, safe / np.expm1(np.minimum(safe, 700.0)), 1 - z / 2)
-    nodes, weights = np.polynomial.legendre.leggauss(5)
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    nodes = (nodes + 1) / 2
     excess = np.zeros_like(z)
     decay = np.exp(-safe)
-    for y, weight in zip((nodes + 1) / 2, weights / 2, strict=True):
-        # the mean under the density exp(z s): by its quantiles s(y)
+    for y, weight in zip(nodes**2, nodes * weights, strict=True):
+        # the mean under the density exp(z s): by its quantiles s(y), whose logarithm at y = 0 the square softens
         s = np.where(steep, 1 + np.log(y + (1 - y) * decay) / safe, y)
         excess += weight * np.exp(np.clip(4 * s * (1 - s) * bow, -100, 100))
     return linear / excess
@@ -237,8 +267,8 @@ def _bows(ops: Operators, mesh: Elements, exact: Function | None) -> Floats:
     if len(slopes) != len(faces):
         return np.zeros(len(i))
     total = np.bincount(faces.ravel(), np.repeat(areas, 3), len(mesh.points))
-    gradient = np.stack([np.bincount(faces.ravel(), np.repeat(areas * s, 3), len(mesh.points)) for s in slopes.T], 1)
-    gradient /= np.where(total > 0, total, 1.0)[:, None]
+    sums = np.stack([np.bincount(faces.ravel(), np.repeat(areas * s, 3), len(mesh.points)) for s in slopes.T], 1)
+    gradient = sums / np.where(total > 0, total, 1.0)[:, None]
     step, rise = mesh.points[j] - mesh.points[i], mesh.potential[j] - mesh.potential[i]
     along = np.einsum("ed,ed->e", gradient[i], step), np.einsum("ed,ed->e", gradient[j], step)
     return _agreed((along[0] - rise) / 4, (rise - along[1]) / 4)
@@ -256,7 +286,9 @@ def middles(ops: Operators, mesh: Elements) -> Floats:
     """Middles of the edges; those of clouds are lifted to the surface that the curvatures at both ends suggest."""
     i, j = mesh.first, mesh.second
     middle = (mesh.points[i] + mesh.points[j]) / 2
-    if not isinstance(ops, CloudOperators) or ops.shape.dimension == ops.shape.points.shape[1] or len(i) == 0 or i.max() >= len(ops.frames):
+    if not isinstance(ops, CloudOperators) or ops.shape.dimension == ops.shape.points.shape[1]:
+        return middle
+    if len(mesh.points) > len(ops.coordinates):  # at further refinements the triangles are small enough to be flat
         return middle
     step = mesh.points[j] - mesh.points[i]
     lift = np.zeros_like(middle)
@@ -351,13 +383,15 @@ def mend(mesh: Elements, only: Mask | None = None) -> Elements:
 
 def level_of_set(points: Floats, inside: Mask, mesh_edges: tuple[Any, Any], dimension: int) -> Floats:
     """A level function of a set known by its members: half the distance to the set less that to the rest; 0 inside where the members
-    lie on the set's rim."""
+    lie on the set's rim, or are single points."""
     outward = nearest_neighbors(points[inside], points, 1)[1][:, 0]
     if not inside.all():
         inward = nearest_neighbors(points[~inside], points, 1)[1][:, 0]
     else:
         return -outward
-    if _on_rim(points, inside, mesh_edges, dimension):
+    i, j = mesh_edges
+    alone = not (inside[i] & inside[j]).any()
+    if alone or _on_rim(points, inside, mesh_edges, dimension):
         return outward
     return (outward - inward) / 2
 

@@ -1,0 +1,431 @@
+"""Committors and reaction rates: closed forms, orders, symmetries, other programs, refusals."""
+
+from pathlib import Path
+from typing import Any
+
+import beltrami as bt
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy.sparse as sparse
+import scipy.sparse.linalg as linalg
+from beltrami import weighted
+from hypothesis import given
+from hypothesis import strategies as st
+
+Floats = npt.NDArray[np.float64]
+SIDE, EDGE, HEIGHT = 1.5, 0.75, 0.5
+
+
+def strip(columns: int, seed: int, jitter: float = 0.2) -> tuple[Floats, Floats, Any, Any]:
+    """Jittered grid on [-1.5, 1.5] x [-0.5, 0.5], U = (x² - 1)² + y²/2, and A, B with their rims on points."""
+    h = SIDE / columns
+    rows, rim = round(HEIGHT / h), round(columns * EDGE / SIDE)
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(-columns, columns + 1), np.arange(-rows, rows + 1), indexing="ij"))
+    move = np.random.default_rng(seed).uniform(-jitter, jitter, (len(i), 2))
+    move[(np.abs(i) == columns) | (np.abs(i) == rim), 0] = 0
+    move[np.abs(j) == rows, 1] = 0
+    x = (np.c_[i, j] + move) * h
+    return x, (x[:, 0] ** 2 - 1) ** 2 + x[:, 1] ** 2 / 2, i <= -rim, i >= rim
+
+
+def exact(x: Floats, beta: float, edge: float = EDGE) -> tuple[Floats, float]:
+    """q and the rate of the strip: q' is in proportion to exp(β (x² - 1)²), whatever U does along y.
+
+    nu = (1 / (β Z)) ∫ exp(-β U) q'² = 1 / (β ∫_-SIDE^SIDE exp(-β V) ∫_-edge^edge exp(β V)): the integrals along y cancel.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    barrier = lambda t: np.exp(beta * (t * t - 1) ** 2)  # noqa: E731
+    total = edge * (weights * barrier(edge * nodes)).sum()
+    half = (np.clip(x, -edge, edge) + edge) / 2
+    q = half * (weights * barrier(-edge + half[:, None] * (nodes + 1))).sum(1) / total
+    return q, 1 / (beta * total * SIDE * (weights / barrier(SIDE * nodes)).sum())
+
+
+def wells(x: Floats) -> Floats:
+    """Three wells on a torus in R^3 (or its first three coordinates), β = 1."""
+    t, f = np.arctan2(x[:, 1], x[:, 0]), np.arctan2(x[:, 2], np.hypot(x[:, 0], x[:, 1]) - 2)
+    return -sum(
+        depth * np.exp(2.5 * (np.cos(t - tk) - 1) + 1.5 * (np.cos(f - fk) - 1))
+        for depth, tk, fk in ((6, 0.0, 0.3), (4.5, 2.0, 1.5), (5.5, -1.9, -0.6))
+    )
+
+
+def torus(count: int, seed: int) -> Floats:
+    """Uniform by area."""
+    rng = np.random.default_rng(seed)
+    t, f = rng.uniform(-np.pi, np.pi, (2, 4 * count))
+    f = f[rng.random(4 * count) < (2 + 0.8 * np.cos(f)) / 2.8][:count]
+    t = t[:count]
+    return np.c_[(2 + 0.8 * np.cos(f)) * np.cos(t), (2 + 0.8 * np.cos(f)) * np.sin(t), 0.8 * np.sin(f)]
+
+
+def ends(x: Floats) -> tuple[Any, Any]:
+    one, other = (
+        np.array([(2 + 0.8 * np.cos(f)) * np.cos(t), (2 + 0.8 * np.cos(f)) * np.sin(t), 0.8 * np.sin(f)])
+        for t, f in ((0, 0.3), (-1.9, -0.6))
+    )
+    return np.linalg.norm(x[:, :3] - one, axis=1) < 0.4, np.linalg.norm(x[:, :3] - other, axis=1) < 0.4
+
+
+# --- analytic ----------------------------------------------------------------------------------------------------------------------
+
+
+def test_double_well_has_its_closed_form() -> None:
+    x, u, a, b = strip(32, 1)
+    r = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0)
+    q, rate = exact(x[:, 0], 4.0)
+    assert np.abs(r.q - q).max() < 2e-4  # second order: 0.05 h² at h = 0.047
+    assert r.rate == pytest.approx(rate, rel=1e-3)
+    assert r.rate_flux == pytest.approx(rate, rel=0.02)
+    assert r.verdict == "sound"
+
+
+def test_times_are_those_of_one_dimension() -> None:
+    """Mean time from x to B: β ∫_x^edge exp(β V(y)) ∫_-SIDE^y exp(-β V) dz dy, here by the trapezoid rule on a fine grid."""
+    x, u, a, b = strip(32, 2)
+    r = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0)
+    z = np.linspace(-SIDE, SIDE, 30001)
+    v = 4.0 * (z * z - 1) ** 2
+    step = z[1] - z[0]
+    inner = np.concatenate([[0], np.cumsum((np.exp(-v[1:]) + np.exp(-v[:-1])) / 2)]) * step
+    slope = np.where(z < EDGE, np.exp(v) * inner, 0)
+    outer = np.concatenate([[0], np.cumsum((slope[1:] + slope[:-1]) / 2)]) * step
+    time = 4.0 * (outer[-1] - np.interp(x[:, 0], z, outer))
+    time[b] = 0
+    assert np.abs(r.passage_time_to_B - time).max() < 2e-3 * time.max()
+    forth, back = r.mean_first_passage_times
+    assert forth == pytest.approx(back, rel=0.02)  # A and B mirror each other, the jitter does not
+    assert r.rate_constant == pytest.approx(r.rate_constant_backward, rel=0.02)
+
+
+def test_current_carries_the_rate() -> None:
+    x, u, a, b = strip(32, 3)
+    r = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0)
+    between = np.abs(x[:, 0]) < EDGE / 2
+    mass = bt.operators(bt.PointCloud(x)).mass[between]
+    assert np.average(r.current[between, 0], weights=mass) * 2 * x[:, 1].max() == pytest.approx(r.rate, rel=0.03)
+    assert np.abs(r.current[between, 1]).mean() < 0.02 * np.abs(r.current[between, 0]).mean()
+    assert (r.current[a | b] == 0).all()
+
+
+@pytest.mark.parametrize("dimension", [1, 3])
+def test_curves_and_volumes(dimension: int) -> None:
+    """U = 0 between two ends of a box: q is linear in x, nu = 1 / (β length of the box · distance of the sets)."""
+    count = {1: 101, 3: 13}[dimension]
+    rng = np.random.default_rng(4)
+    axis = np.arange(count) / (count - 1)
+    grid = np.stack(np.meshgrid(*[axis] * dimension, indexing="ij"), -1).reshape(-1, dimension)
+    inner = (grid[:, :1] > 0) & (grid[:, :1] < 1)
+    x = grid + rng.uniform(-0.1, 0.1, grid.shape) * inner * ((grid > 0) & (grid < 1)) / (count - 1)
+    r = bt.committor(bt.PointCloud(x, dimension=dimension), np.zeros(len(x)), grid[:, 0] == 0, grid[:, 0] == 1, beta=2.0)
+    assert np.abs(r.q - x[:, 0]).max() < 1e-12  # linear elements hold linear functions
+    assert r.rate == pytest.approx(0.5, rel=1e-6)
+
+
+def test_mesh_and_cloud_agree() -> None:
+    mesh = bt.shapes.sphere(5)
+    x = mesh.vertices
+    u = 6 * (x[:, 0] ** 2 - 0.5) ** 2 + x[:, 1]
+    a, b = x[:, 2] < -0.9, x[:, 2] > 0.9
+    on_mesh = bt.committor(mesh, u, a, b, beta=2.0)
+    on_cloud = bt.committor(bt.PointCloud(x), u, a, b, beta=2.0)
+    assert np.abs(on_mesh.q - on_cloud.q).max() < 1e-3  # the same triangles; U between the points is fitted otherwise
+    assert on_mesh.rate == pytest.approx(on_cloud.rate, rel=1e-3)
+
+
+def test_circulation_leaves_the_density_and_turns_the_committors() -> None:
+    """Around a ring with U = 0 and drift c, q+ solves q'' + β c q' = 0: exponentials on both arcs between A (angle 0) and B (angle π)."""
+    count, c = 400, 0.7
+    angle = 2 * np.pi * np.arange(count) / count
+    x = np.c_[np.cos(angle), np.sin(angle)]
+    turn = c * np.c_[-x[:, 1], x[:, 0]]
+    a, b = [0], [count // 2]
+    r = bt.committor(bt.PointCloud(x, dimension=1), np.zeros(count), a, b, beta=1.0, circulation=turn)
+    rising = np.expm1(-c * angle) / np.expm1(-c * np.pi)
+    falling = np.expm1(c * (2 * np.pi - angle)) / np.expm1(c * np.pi)
+    wanted = np.where(angle <= np.pi, rising, falling)
+    assert np.abs(r.q - wanted).max() < 1e-4
+    mirrored = bt.committor(bt.PointCloud(x, dimension=1), np.zeros(count), a, b, beta=1.0, circulation=-turn)
+    assert np.abs(r.q_backward - (1 - mirrored.q)).max() < 1e-12
+
+
+# --- convergence -------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("refine", [0, 1])
+def test_second_order_in_the_spacing(refine: int) -> None:
+    errors, spacings = [], []
+    for columns in (8, 12, 16, 24):
+        x, u, a, b = strip(columns, columns)
+        r = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0, refine=refine)
+        errors.append(np.sqrt(np.mean((r.q - exact(x[:, 0], 4.0)[0]) ** 2)))
+        spacings.append(SIDE / columns)
+    assert np.polyfit(np.log(spacings), np.log(errors), 1)[0] > 1.7
+
+
+def test_level_functions_cut_edges_where_the_rim_is() -> None:
+    """Rims between the points: without the cut the error is of first order, some 2e-2 here."""
+    x, u, _, _ = strip(24, 5)
+    edge = EDGE - 0.4 * SIDE / 24
+    r = bt.committor(bt.PointCloud(x), u, lambda p: p[:, 0] + edge, lambda p: edge - p[:, 0], beta=4.0)
+    q, rate = exact(x[:, 0], 4.0, edge)
+    assert np.abs(r.q - q).max() < 1e-3
+    assert r.rate == pytest.approx(rate, rel=3e-3)
+
+
+# --- property ----------------------------------------------------------------------------------------------------------------------
+
+
+def test_identities_on_the_torus() -> None:
+    x = torus(1500, 6)
+    u = wells(x)
+    a, b = ends(x)
+    r = bt.committor(bt.PointCloud(x), u, a, b, beta=1.0)
+    turn = np.linalg.qr(np.random.default_rng(7).normal(size=(10, 10)))[0][:3]
+    order = np.random.default_rng(8).permutation(len(x))
+    swapped = bt.committor(bt.PointCloud(x), u, b, a, beta=1.0)
+    embedded = bt.committor(bt.PointCloud(3 * x @ turn + 1), u + 100, np.flatnonzero(a), np.flatnonzero(b), beta=1.0)
+    shuffled = bt.committor(bt.PointCloud(x[order]), u[order], a[order], b[order], beta=1.0)
+    assert np.abs(swapped.q - (1 - r.q)).max() < 1e-12
+    assert np.abs(embedded.q - r.q).max() < 1e-9
+    assert embedded.rate == pytest.approx(r.rate / 9, rel=1e-9)  # time goes like length²
+    assert np.abs(shuffled.q - r.q[order]).max() < 1e-9
+    assert r.rate == pytest.approx(r.rate_constant * r.share_A) == pytest.approx(r.rate_constant_backward * (1 - r.share_A))
+
+
+@given(seed=st.integers(0, 10_000), steepness=st.floats(0.0, 30.0), count=st.integers(12, 200))
+def test_q_is_a_probability_whatever_the_potential(seed: int, steepness: float, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = rng.random((count, 2)) ** rng.uniform(0.5, 3)
+    u = steepness * rng.random(count)
+    try:
+        r = bt.committor(bt.PointCloud(x), u, [int(x[:, 0].argmin())], [int(x[:, 0].argmax())], beta=1.0)
+    except (bt.InputError, bt.NumericalError):  # points too near each other, or A is B; a pit that nothing leaves
+        return
+    assert (r.q >= 0).all()
+    assert (r.q <= 1).all()
+    assert r.rate > 0
+    assert np.isfinite(r.current).all()
+
+
+def test_flux_is_the_same_through_every_cut() -> None:
+    x = torus(1500, 9)
+    a, b = ends(x)
+    r = bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0)
+    for level in (0.2, 0.5, 0.8):
+        cut = r.isocommittor(level)
+        assert cut.flux.sum() == pytest.approx(1)
+        assert len(cut.points) == len(cut.flux)
+    assert abs(r.rate_flux - r.rate) < 3 * r.rate_flux_error
+
+
+def test_lines_and_path_lead_from_a_to_b() -> None:
+    x, u, a, b = strip(24, 10)
+    r = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0)
+    h = SIDE / 24
+    for line in r.streamlines(5):
+        assert line[0, 0] < -EDGE + 1.5 * h
+        assert line[-1, 0] > EDGE - 1.5 * h
+        assert np.ptp(line[:, 1]) < 0.05  # the current runs along x
+    path = r.path()
+    assert path[0, 0] <= -EDGE + 1e-12
+    assert path[-1, 0] >= EDGE - 1e-12
+    assert (np.abs(path[:, 1]) < 0.3).all()  # along the valley's floor, y = 0
+    assert (np.abs(r.q[r.transition_states(0.1)] - 0.5) <= 0.1).all()
+    energy = r.free_energy(10)
+    assert energy.free_energy.min() == 0
+    assert len(energy.q) == 10
+
+
+def test_half_samples_give_an_error_that_covers() -> None:
+    x, _, _, _ = strip(16, 11)
+    rng = np.random.default_rng(12)
+    x = rng.uniform([-SIDE, -HEIGHT], [SIDE, HEIGHT], (1500, 2))
+    u = (x[:, 0] ** 2 - 1) ** 2
+    r = bt.committor(bt.PointCloud(x), u, x[:, 0] < -EDGE, x[:, 0] > EDGE, beta=4.0, bootstrap=6)
+    again = bt.committor(bt.PointCloud(x), u, x[:, 0] < -EDGE, x[:, 0] > EDGE, beta=4.0, bootstrap=6)
+    assert r.rate_error is not None
+    assert len(r.replicates) == 6
+    assert abs(r.rate - exact(x[:, 0], 4.0)[1]) < 3 * r.rate_error
+    np.testing.assert_array_equal(r.replicates, again.replicates)
+
+
+# --- what samples say --------------------------------------------------------------------------------------------------------------
+
+
+def gibbs(count: int, beta: float, seed: int) -> Floats:
+    rng = np.random.default_rng(seed)
+    x = rng.uniform([-SIDE, -HEIGHT], [SIDE, HEIGHT], (40 * count, 2))
+    return x[rng.random(len(x)) < np.exp(-beta * (x[:, 0] ** 2 - 1) ** 2)][:count]
+
+
+def test_density_of_samples_stands_for_the_potential() -> None:
+    beta, edge = 3.0, 0.7
+    a, b = (lambda p: p[:, 0] + edge), (lambda p: edge - p[:, 0])
+    x = gibbs(4000, beta, 13)
+    q, rate = exact(x[:, 0], beta, edge)
+    plain = bt.committor(bt.PointCloud(x), None, a, b, beta=beta, sampling="gibbs")
+    assert plain.rate == pytest.approx(rate, rel=0.15)
+    assert np.sqrt(np.mean((plain.q - q) ** 2)) < 0.03
+    # the same of uniform samples with weights, and of hotter samples reweighted by their energies
+    y = np.random.default_rng(14).uniform([-SIDE, -HEIGHT], [SIDE, HEIGHT], (4000, 2))
+    weight = np.exp(-beta * (y[:, 0] ** 2 - 1) ** 2)
+    for found in (
+        bt.committor(bt.PointCloud(y), None, a, b, beta=beta, sampling="weighted", weights=weight),
+        bt.committor(bt.PointCloud(y, weights=weight), None, a, b, beta=beta, sampling="weighted"),
+    ):
+        assert found.rate == pytest.approx(rate, rel=0.15)
+    z = np.concatenate([x[:2000], gibbs(2000, 1.0, 15)])
+    betas = np.repeat([beta, 1.0], 2000)
+    mixed = bt.committor(bt.PointCloud(z), (z[:, 0] ** 2 - 1) ** 2, a, b, beta=beta, sampling="mixed", sample_beta=betas)
+    assert mixed.rate == pytest.approx(rate, rel=0.15)
+    assert "reweighted" in mixed.assumption
+
+
+def test_reweighting_of_one_temperature_is_the_boltzmann_factor() -> None:
+    energy = np.array([0.0, 0.5, 2.0, 1.0])
+    weights = bt.reweight(energy, np.full(4, 1.0), 3.0)
+    np.testing.assert_allclose(weights, np.exp(-2 * energy) / np.exp(-2 * energy).sum(), rtol=1e-12)
+
+
+def test_thinning_keeps_the_answer() -> None:
+    x = torus(6000, 16)
+    a, b = ends(x)
+    full = bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0)
+    thin = bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0, max_points=2500)
+    assert thin.q.shape == full.q.shape
+    assert (thin.q[a] == 0).all()
+    assert (thin.q[b] == 1).all()
+    assert np.sqrt(np.mean((thin.q - full.q) ** 2)) < 5e-3
+    assert thin.rate == pytest.approx(full.rate, rel=0.03)
+
+
+# --- peer --------------------------------------------------------------------------------------------------------------------------
+
+
+def test_strong_form_agrees() -> None:
+    x, u, a, b = strip(24, 17)
+    weak = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0)
+    strong = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0, method="strong")
+    assert np.sqrt(np.mean((weak.q - strong.q) ** 2)) < 0.02  # one-sided fits at the rim are of lower order
+    assert strong.rate == pytest.approx(weak.rate, rel=0.03)
+    assert strong.method == "strong"
+
+
+def test_linear_elements_are_those_of_scipy() -> None:
+    """U = 0 on a mesh: the same matrix and right-hand side, solved by SciPy; no refinement and rims on vertices."""
+    mesh = bt.shapes.grid(17, 9, width=2.0)
+    x = mesh.vertices[:, 0]
+    a, b = (x <= 0) & (mesh.vertices[:, 1] < 0.6), x >= 2
+    r = bt.committor(mesh, np.zeros(len(x)), a, b, beta=1.0, refine=0)
+    stiffness = sparse.csr_array(bt.operators(mesh).stiffness)
+    free = np.flatnonzero(~(a | b))
+    q = b.astype(float)
+    q[free] = linalg.spsolve(sparse.csc_array(stiffness[free][:, free]), -(stiffness[free] @ q))
+    assert np.abs(r.q - q).max() < 1e-10
+    assert r.rate == pytest.approx(q @ (stiffness @ q) / 2.0, rel=1e-10)
+
+
+def test_weights_are_those_of_the_local_mesh() -> None:
+    x = torus(400, 18)
+    ops = bt.operators(bt.PointCloud(x))
+    u = wells(x) - wells(x).min()
+    levels = np.ones(len(x)), np.ones(len(x))
+    mesh = weighted.elements(ops, u, None, levels)
+    straight = weighted.harmonic_mean(u[mesh.first], u[mesh.second], np.zeros(len(mesh.first)))
+    mine = weighted.laplacian(len(x), mesh.first, mesh.second, mesh.edge_conduction * straight)
+    theirs = ops.weighted_stiffness(u)  # type: ignore[attr-defined]
+    assert abs(mine - theirs).max() < 1e-12 * abs(theirs).max()
+    np.testing.assert_allclose(mesh.mass, ops.mass, rtol=1e-12)
+
+
+def test_harmonic_mean_of_a_quadratic() -> None:
+    rng = np.random.default_rng(19)
+    one, other, bow = rng.uniform(0, 30, 50), rng.uniform(0, 30, 50), rng.uniform(-2, 2, 50)
+    s = (np.arange(200_000) + 0.5) / 200_000
+    wanted = [1 / np.mean(np.exp(a + (b - a) * s + 4 * s * (1 - s) * c)) for a, b, c in zip(one, other, bow, strict=True)]
+    np.testing.assert_allclose(weighted.harmonic_mean(one, other, bow), wanted, rtol=1e-3)  # six nodes
+
+
+# --- fault -------------------------------------------------------------------------------------------------------------------------
+
+
+def test_refusals_say_what_and_where() -> None:
+    x, u, a, b = strip(8, 20)
+    n = len(x)
+    cloud = bt.PointCloud(x)
+    none = np.zeros(n, bool)
+    broken, steep = u.copy(), u.copy()
+    broken[7], steep[11] = np.nan, 1e6
+    island = np.concatenate([x, x[:30] * 0.1 + 50])
+    for error, words, arguments in (
+        (bt.InputError, "A is empty", (cloud, u, none, b)),
+        (bt.InputError, "B is empty", (cloud, u, a, [])),
+        (bt.InputError, "A is empty", (cloud, u, lambda p: p[:, 0] + 99, b)),
+        (bt.InputError, "overlap", (cloud, u, a | b, b)),
+        (bt.InputError, r"potential\[7\] is nan", (cloud, broken, a, b)),
+        (bt.InputError, "shape", (cloud, u[:-1], a, b)),
+        (bt.InputError, "numbered from 0", (cloud, u, a, [n])),
+        (bt.NumericalError, "point 11", (cloud, steep, a, b)),
+        (bt.InputError, "sampling=", (cloud, None, a, b)),
+        (bt.InputError, r"potential\(points\)", (cloud, lambda p: p, a, b)),
+    ):
+        with pytest.raises(error, match=words):
+            bt.committor(*arguments, beta=4.0)  # type: ignore[arg-type]
+    extra = np.zeros(30, bool)
+    with pytest.raises(bt.TopologyError, match=rf"{n}, {n + 1}"):
+        bt.committor(bt.PointCloud(island), np.concatenate([u, np.zeros(30)]), np.r_[a, extra], np.r_[b, extra], beta=4.0)
+    with pytest.raises(bt.TopologyError, match="different pieces"):
+        bt.committor(bt.PointCloud(island), np.concatenate([u, np.zeros(30)]), np.r_[a | b, extra], np.r_[none, ~extra], beta=4.0)
+    for beta in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(bt.InputError, match="beta"):
+            bt.committor(cloud, u, a, b, beta=beta)
+    for options in (
+        {"method": "other"}, {"sampling": "other"}, {"sampling": "gibbs"}, {"sampling": "weighted"}, {"sampling": "mixed"},
+        {"weights": u}, {"refine": -1}, {"refine": 1, "method": "strong"}, {"bootstrap": -1}, {"circulation": u}, {"max_points": 1},
+        {"block": n, "bootstrap": 3},
+    ):  # fmt: skip
+        with pytest.raises(bt.InputError):
+            bt.committor(cloud, u, a, b, beta=4.0, **options)  # type: ignore[arg-type]
+    mesh = bt.shapes.grid(9, 9)
+    left, right = mesh.vertices[:, 0] <= 0, mesh.vertices[:, 0] >= 1
+    for options in ({"method": "strong"}, {"bootstrap": 3}, {"max_points": 20}):
+        with pytest.raises(bt.InputError):
+            bt.committor(mesh, np.zeros(81), left, right, beta=1.0, **options)  # type: ignore[arg-type]
+
+
+def test_barriers_beyond_double_precision_are_an_error() -> None:
+    """A third well so deep that nothing leaves it: q inside is 0 / 0 in double precision."""
+    x, _, a, b = strip(16, 21)
+    u = 200.0 * (1 - np.exp(-8 * (x[:, 0] ** 2 + x[:, 1] ** 2)))
+    with pytest.raises(bt.NumericalError, match="barriers around the well at point"):
+        bt.committor(bt.PointCloud(x), u, a, b, beta=1.0)
+
+
+def test_progress_and_cancelling() -> None:
+    x, u, a, b = strip(16, 22)
+    shares: list[float] = []
+    bt.committor(bt.PointCloud(x), u, a, b, beta=4.0, bootstrap=2, progress=shares.append)
+    assert shares[-1] == 1.0
+    assert all(0 <= share <= 1 for share in shares)
+    with pytest.raises(bt.Cancelled):
+        bt.committor(bt.PointCloud(x), u, a, b, beta=4.0, progress=lambda share: False)
+
+
+def test_inputs_are_left_alone_and_results_are_written(tmp_path: Path) -> None:
+    x, u, a, b = strip(12, 23)
+    copies = x.copy(), u.copy(), a.copy(), b.copy()
+    r = bt.committor(bt.PointCloud(x), u, a, b, beta=4.0)
+    for before, after in zip(copies, (x, u, a, b), strict=True):
+        np.testing.assert_array_equal(before, after)
+    with np.load(r.save(tmp_path / "r.npz")) as saved:
+        np.testing.assert_array_equal(saved["q"], r.q)
+        assert float(saved["rate"]) == r.rate
+    rows = np.genfromtxt(r.save(tmp_path / "r.csv"), delimiter=",", names=True)
+    np.testing.assert_array_equal(rows["q"], r.q)
+    assert r.save(tmp_path / "r.png").stat().st_size > 1000
+    with pytest.raises(bt.InputError, match=r"\.npz"):
+        r.save(tmp_path / "r.xyz")
+    with pytest.raises(bt.FileError):
+        r.save(tmp_path / "absent" / "r.npz")
