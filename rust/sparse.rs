@@ -26,8 +26,13 @@ impl Csr {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Input`] if the arrays do not fit together, columns do not ascend or are out of range, or a value is not finite.
+    /// [`Error::Input`] if the arrays do not fit together, columns do not ascend or are out of range, there are more than 2^32 - 1 rows or columns, or a
+    /// value is not finite.
     pub fn new(rows: usize, columns: usize, starts: Vec<usize>, indices: Vec<u32>, values: Vec<f64>) -> Result<Self> {
+        // u32::MAX itself is never an index: `combine` has it for the end of a row
+        if rows.max(columns) > u32::MAX as usize {
+            return Err(Error::input(format!("a matrix of {rows} x {columns}; rows and columns are up to 2^32 - 1")));
+        }
         if starts.len() != rows + 1 || starts[0] != 0 || starts[rows] != indices.len() || indices.len() != values.len() {
             return Err(Error::input(format!(
                 "a matrix of {rows} rows has {} row starts ending at {:?}, {} column indices and {} values; they must be rows + 1, and equal",

@@ -6,15 +6,45 @@
 
 use crate::error::{Error, Result};
 use rayon::{Scope, ThreadPool, ThreadPoolBuilder};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
+use std::time::Duration;
 
 struct Pool {
     process: u32,
     threads: Arc<ThreadPool>,
 }
 
-static POOL: Mutex<Option<Pool>> = Mutex::new(None);
-static WANTED: Mutex<Option<usize>> = Mutex::new(None);
+static POOLS: [Mutex<Option<Pool>>; 2] = [const { Mutex::new(None) }; 2];
+static PLACE: AtomicUsize = AtomicUsize::new(0);
+/// What [`set_num_threads`] was told; 0 before.
+static WANTED: AtomicUsize = AtomicUsize::new(0);
+
+/// Where the pool is kept. It is locked for moments only, never while threads start: if it stays locked, a thread of the parent held it
+/// when this child was forked, and nobody will ever unlock it here; then the other place serves.
+fn kept() -> MutexGuard<'static, Option<Pool>> {
+    for _ in 0..500 {
+        if PLACE.load(Ordering::Relaxed) > 0 {
+            break;
+        }
+        match POOLS[0].try_lock() {
+            Ok(guard) => return guard,
+            Err(TryLockError::Poisoned(guard)) => return guard.into_inner(),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(1)),
+        }
+    }
+    PLACE.store(1, Ordering::Relaxed);
+    POOLS[1].lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Keeps a pool and lets go of the one before, whose threads live in the parent only if a parent made it: then joining them would wait for ever.
+fn keep(pool: Pool) {
+    let process = pool.process;
+    let old = kept().replace(pool);
+    if let Some(parents) = old.filter(|old| old.process != process) {
+        std::mem::forget(parents);
+    }
+}
 
 fn build(count: usize) -> Result<Arc<ThreadPool>> {
     ThreadPoolBuilder::new()
@@ -27,7 +57,8 @@ fn build(count: usize) -> Result<Arc<ThreadPool>> {
 }
 
 fn wanted() -> Result<usize> {
-    if let Some(count) = *WANTED.lock().unwrap_or_else(PoisonError::into_inner) {
+    let count = WANTED.load(Ordering::Relaxed);
+    if count > 0 {
         return Ok(count);
     }
     match std::env::var("BELTRAMI_NUM_THREADS") {
@@ -43,14 +74,16 @@ fn wanted() -> Result<usize> {
 
 fn pool() -> Result<Arc<ThreadPool>> {
     let process = std::process::id();
-    let mut guard = POOL.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(pool) = guard.as_ref().filter(|pool| pool.process == process) {
-        return Ok(pool.threads.clone());
+    let made = || kept().as_ref().filter(|pool| pool.process == process).map(|pool| pool.threads.clone());
+    if let Some(threads) = made() {
+        return Ok(threads);
     }
     let threads = build(wanted()?)?;
-    if let Some(parents) = guard.replace(Pool { process, threads: threads.clone() }) {
-        std::mem::forget(parents); // its threads live in the parent only: joining them would wait for ever
+    // what another thread made meanwhile goes first
+    if let Some(threads) = made() {
+        return Ok(threads);
     }
+    keep(Pool { process, threads: threads.clone() });
     Ok(threads)
 }
 
@@ -77,12 +110,8 @@ pub fn set_num_threads(count: usize) -> Result<()> {
         return Err(Error::input(format!("{count} threads; choose from 1 to 4096")));
     }
     let threads = build(count)?;
-    *WANTED.lock().unwrap_or_else(PoisonError::into_inner) = Some(count);
-    let process = std::process::id();
-    let old = POOL.lock().unwrap_or_else(PoisonError::into_inner).replace(Pool { process, threads });
-    if let Some(old) = old.filter(|old| old.process != process) {
-        std::mem::forget(old);
-    }
+    WANTED.store(count, Ordering::Relaxed);
+    keep(Pool { process: std::process::id(), threads });
     Ok(())
 }
 
@@ -100,4 +129,19 @@ pub fn run<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
 /// Those of [`num_threads`].
 pub fn scope<'scope, T>(wait: impl FnOnce(&Scope<'scope>) -> T) -> Result<T> {
     Ok(pool()?.in_place_scope(wait))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As in a child that was forked while a thread of its parent held the lock.
+    #[test]
+    fn a_lock_that_nobody_will_open() {
+        let guard = kept();
+        assert_eq!(run(|| Ok(6 * 7)).unwrap(), 42);
+        assert_eq!(PLACE.load(Ordering::Relaxed), 1);
+        drop(guard);
+        PLACE.store(0, Ordering::Relaxed);
+    }
 }

@@ -105,3 +105,12 @@ fn distances_on_a_sheet() {
     assert!(heat.distance(&[], &Control::default()).is_err());
     assert!(heat.distance(&[41 * 41], &Control::default()).is_err());
 }
+
+#[test]
+fn matrices_too_large_are_refused() {
+    let huge = 1usize << 32;
+    assert!(matches!(Csr::new(1, huge, vec![0, 1], vec![u32::MAX], vec![1.0]), Err(Error::Input(_))));
+    assert!(matches!(Csr::new(usize::MAX, 1, vec![], vec![], vec![]), Err(Error::Input(_))));
+    let widest = Csr::new(1, huge - 1, vec![0, 1], vec![u32::MAX - 1], vec![1.0]).unwrap();
+    assert_eq!(widest.combine(1.0, &widest, 2.0).unwrap().values(), [3.0]);
+}

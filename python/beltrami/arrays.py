@@ -4,7 +4,7 @@ that names the element. What is handed in is never changed, and never kept unles
 from __future__ import annotations
 
 import operator
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,14 +14,20 @@ from .errors import InputError
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
+_A = TypeVar("_A", bound=npt.NDArray[Any])
 CsrArrays = tuple[int, int, npt.NDArray[np.int64], Ints, Floats]
 
 
-def _array(value: Any, name: str) -> npt.NDArray[Any]:
+def anything(value: Any, name: str) -> npt.NDArray[Any]:
+    """An array of any type and shape; rows of different lengths make none."""
     try:
-        array = np.asarray(value)
-    except (ValueError, TypeError) as error:
+        return np.asarray(value)
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{name} cannot be read as an array: {error}") from None
+
+
+def _array(value: Any, name: str) -> npt.NDArray[Any]:
+    array = anything(value, name)
     if array.dtype.kind not in "buif":
         raise InputError(f"{name} has dtype {array.dtype} ({type(value).__name__}); real numbers are needed")
     return array
@@ -82,18 +88,20 @@ def whole(value: Any, name: str, least: int | None = None, most: int | None = No
         raise InputError(f"{name} is {value!r}; a whole number is needed") from None
     if (least is not None and number < least) or (most is not None and number > most):
         span = f"at least {least}" if most is None else f"at most {most}" if least is None else f"from {least} to {most}"
-        raise InputError(f"{name} is {number}; it must be {span}")
+        raise InputError(f"{name} is {number if abs(number) < 1 << 64 else 'beyond 64 bits'}; it must be {span}")
     return number
 
 
 def number(value: Any, name: str, above: float | None = None, least: float | None = None) -> float:
     """A finite real number, above or at least a bound."""
     try:
-        if isinstance(value, str | bytes | complex):
+        if isinstance(value, str | bytes) or np.iscomplexobj(value) or np.ndim(value) > 0:
             raise TypeError
         result = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{name} is {value!r}; a number is needed") from None
+    except OverflowError:
+        raise InputError(f"{name} is beyond the range of float64; give a smaller number") from None
     if not np.isfinite(result) or (above is not None and result <= above) or (least is not None and result < least):
         bound = "finite" if above is None and least is None else f"above {above:g}" if above is not None else f"at least {least:g}"
         raise InputError(f"{name} is {result:g}; it must be {bound}")
@@ -128,12 +136,22 @@ def frozen(array: npt.NDArray[Any], given: Any) -> npt.NDArray[Any]:
     return array
 
 
+def read_only(array: _A) -> _A:
+    """The array itself, read-only: for what is kept and handed out more than once."""
+    array.flags.writeable = False
+    return array
+
+
 def csr_in(matrix: Any, name: str) -> CsrArrays:
     """A scipy sparse matrix (any format) or a dense square array, as the core takes it: sorted, entries added up, finite."""
     if not sparse.issparse(matrix):
         matrix = floats(matrix, name, (None, None))
     if matrix.dtype.kind not in "buif":
         raise InputError(f"{name} has dtype {matrix.dtype}; real numbers are needed")
+    if matrix.ndim != 2:
+        raise InputError(f"{name} has shape {matrix.shape}; a matrix has two dimensions")
+    if max(matrix.shape) > np.iinfo(np.int32).max:
+        raise InputError(f"{name} has shape {matrix.shape}; rows and columns are up to 2^31 - 1")
     csr = sparse.csr_array(matrix, dtype=np.float64)
     if not csr.has_canonical_format:
         csr = csr.copy()
@@ -144,9 +162,9 @@ def csr_in(matrix: Any, name: str) -> CsrArrays:
 
 
 def csr_out(parts: tuple[Floats, npt.NDArray[Any], npt.NDArray[Any]], shape: tuple[int, int]) -> sparse.csr_array:
-    """The core's matrix as a scipy array, without a copy."""
+    """The core's matrix as a scipy array, without a copy; its values are read-only, because most are kept and handed out again."""
     matrix = sparse.csr_array(shape)
-    matrix.data, matrix.indices, matrix.indptr = parts
+    matrix.data, matrix.indices, matrix.indptr = read_only(parts[0]), *parts[1:]
     matrix.has_sorted_indices = True
     matrix.has_canonical_format = True
     return matrix

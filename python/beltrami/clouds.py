@@ -80,6 +80,8 @@ class CloudOperators(Operators):
         cloud, d = self.shape, self.shape.dimension
         normals, notes = _usable_normals(cloud)
         found = _LocalMesh(*_core.local_mesh(cloud.points, d, vars(self)["_neighbors"], normals, vars(self)["_reporter"]))
+        for array in found[:-1]:
+            array.flags.writeable = False
         notes += _dimension_note(found.estimated_dimension, d)
         if not found.certified.all():
             wrong = np.flatnonzero(~found.certified)
@@ -141,7 +143,7 @@ class CloudOperators(Operators):
     @cached_property
     def mass(self) -> Floats:
         """Lumped masses, (n,), in units of length^d."""
-        return _core.local_mass(self.local_mesh)
+        return arrays.read_only(_core.local_mass(self.local_mesh))
 
     @cached_property
     def spacing(self) -> float:
@@ -172,7 +174,7 @@ class CloudOperators(Operators):
     def simplex_areas(self) -> Floats:
         """(m,): area (volume) of each simplex, times votes / (d + 1): they add up to the mass."""
         volumes: Floats = _core.local_volumes(self.local_mesh) * self.votes / (self.shape.dimension + 1)
-        return volumes
+        return arrays.read_only(volumes)
 
     @cached_property
     def simplex_gradient(self) -> sparse.csr_array:
@@ -189,7 +191,7 @@ class CloudOperators(Operators):
         form = np.empty((n, d, d, space))
         for at, (a, b) in enumerate(zip(*np.triu_indices(d), strict=True)):
             form[:, a, b] = form[:, b, a] = pairs[:, at]
-        return form
+        return arrays.read_only(form)
 
     @property
     def mean_curvature(self) -> Floats:

@@ -92,6 +92,8 @@ def build(
     cover = kind == "tufted"
     parts, mass, tables, spacing, counts = _core.intrinsic_operators((mesh.vertices, mesh.faces), cover, voronoi, reporter(progress))
     flips, mollified, left_out = counts
+    for array in (mass, *tables):
+        array.flags.writeable = False
     for count, what in (
         (left_out, "faces name a vertex twice and are left out"),
         (mollified, "edges were lengthened a little because a triangle was degenerate (Sharp and Crane 2020)"),

@@ -24,7 +24,7 @@ Mass = Literal["lumped", "voronoi"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Operators(ABC):
-    """Operators of a shape with n vertices or points. Made by :func:`operators`.
+    """Operators of a shape with n vertices or points. Made by :func:`operators`. Its arrays and the values of its matrices are read-only.
 
     Attributes
     ----------
@@ -99,19 +99,19 @@ class Operators(ABC):
         if isinstance(self.shape, TriangleMesh):
             for curve in self.shape.boundary_loop_vertices:
                 mask[curve] = True
-        return mask
+        return arrays.read_only(mask)
 
     @cached_property
     def component_labels(self) -> Ints:
         """(n,): number of the connected component of each vertex, by the pattern of the stiffness."""
         from scipy.sparse.csgraph import connected_components
 
-        return np.asarray(connected_components(self.stiffness, directed=False)[1], np.int32)
+        return arrays.read_only(np.asarray(connected_components(self.stiffness, directed=False)[1], np.int32))
 
     @cached_property
     def component_masses(self) -> Floats:
         """Total mass of each component."""
-        return np.bincount(self.component_labels, weights=self.mass).astype(np.float64)
+        return arrays.read_only(np.bincount(self.component_labels, weights=self.mass).astype(np.float64))
 
 
 class MeshOperators(Operators):
@@ -208,7 +208,7 @@ def _cotangent(shape: Any, mass: str, options: dict[str, Any]) -> Operators:
     _no_options(options, "cotangent")
     parts, masses, spacing = _core.cotangent_operators((shape.vertices, shape.faces), mass == "voronoi")
     n = len(masses)
-    return MeshOperators(shape, "cotangent", arrays.csr_out(parts, (n, n)), masses, spacing)
+    return MeshOperators(shape, "cotangent", arrays.csr_out(parts, (n, n)), arrays.read_only(masses), spacing)
 
 
 def _intrinsic(kind: Literal["intrinsic_delaunay", "tufted"], notes: tuple[str, ...] = ()) -> _Builder:

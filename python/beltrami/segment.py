@@ -144,7 +144,7 @@ def _edges(corners: Ints, sides: Floats, areas: Floats) -> tuple[Ints, Floats, F
 
 def _image(image: Any, count: int, known: npt.NDArray[np.bool_] | None) -> Floats:
     """(n, channels), finite wherever it is known; 0 elsewhere."""
-    array = np.asarray(image)
+    array = arrays.anything(image, "image")
     if array.ndim not in (1, 2):
         raise InputError(f"image has shape {array.shape}; ({count},) or ({count}, channels) is needed")
     if array.shape[0] != count:
@@ -174,7 +174,7 @@ def _in_range(weight: float, what: str) -> None:
 def _mask(mask: Any, count: int) -> npt.NDArray[np.bool_] | None:
     if mask is None:
         return None
-    known = np.asarray(mask)
+    known = arrays.anything(mask, "mask")
     if known.dtype.kind != "b" or known.shape != (count,):
         raise InputError(
             f"mask has dtype {known.dtype} and shape {known.shape}; ({count},) booleans are needed, True where the image is known"

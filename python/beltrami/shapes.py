@@ -29,7 +29,7 @@ Data = Mapping[str, npt.NDArray[Any]]
 def _frozen_data(data: Mapping[str, Any] | None, count: int, what: str) -> Data:
     kept = {}
     for name, values in (data or {}).items():
-        array = np.asarray(values)
+        array = arrays.anything(values, f"data[{name!r}]")
         if array.shape[:1] != (count,):
             raise InputError(f"data[{name!r}] has shape {array.shape}; its first length must be {count}, one row a {what}")
         kept[str(name)] = arrays.frozen(np.ascontiguousarray(array), values)
@@ -133,8 +133,8 @@ class TriangleMesh:
 
     @cached_property
     def face_areas(self) -> Floats:
-        """Area of each triangle, (m,)."""
-        return _core.face_areas((self.vertices, self.faces))
+        """Area of each triangle, (m,); read-only."""
+        return arrays.read_only(_core.face_areas((self.vertices, self.faces)))
 
     @property
     def area(self) -> float:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import scipy.sparse as sparse
 
 from . import _core
-from .arrays import Floats, csr_in, csr_out, floats, number, points
+from .arrays import Floats, anything, csr_in, csr_out, floats, number, points
 from .errors import InputError
 from .operators import Operators, operators
 from .progress import Progress, reporter
@@ -163,7 +163,7 @@ class Cholesky:
         self._n = parts[0]
 
     def _table(self, b: npt.ArrayLike, name: str) -> tuple[Floats, bool]:
-        array = np.asarray(b)
+        array = anything(b, name)
         if array.ndim == 1:
             return floats(array, name, (self._n,), finite=False).reshape(-1, 1), True
         return floats(array, name, (self._n, None), finite=False), False
@@ -253,16 +253,18 @@ class PoissonSolver:
         InputError
             The length does not fit, a number is not finite, or (``strict``) a mean is not zero.
         """
-        values = np.asarray(f)
-        values = floats(values, "f", (len(self.operators.mass),) if values.ndim == 1 else (len(self.operators.mass), None))
+        values = self._values(f, "f")
         table = values.reshape(len(values), -1) * self.operators.mass[:, None]
         return self._core.solve(table, _COMPATIBLE if strict else None).reshape(values.shape)
 
     def solve_integrated(self, b: npt.ArrayLike) -> Floats:
         """``L u = b`` for a right-hand side that is integrated already, (n,) or (n, k); zero mean on each component."""
-        values = np.asarray(b)
-        values = floats(values, "b", (len(self.operators.mass),) if values.ndim == 1 else (len(self.operators.mass), None))
+        values = self._values(b, "b")
         return self._core.solve(values.reshape(len(values), -1), None).reshape(values.shape)
+
+    def _values(self, given: npt.ArrayLike, name: str) -> Floats:
+        array, n = anything(given, name), len(self.operators.mass)
+        return floats(array, name, (n,) if array.ndim == 1 else (n, None))
 
 
 def solve_poisson(shape: Shape | Operators, f: npt.ArrayLike, *, strict: bool = False, progress: Progress = None) -> Floats:

@@ -224,7 +224,7 @@ def _field(
         plain = np.ones((1, 4), np.float32)
         plain[0, :3] = _PLAIN if color is None else colors.color(color)
         return Field(name, "uniform", nothing, no_labels, plain)
-    array = np.asarray(values)
+    array = arrays.anything(values, name)
     where = "a vertex" + (" or a face" if face_count else "")
     lengths = (vertex_count, face_count or vertex_count)
     if array.dtype.kind not in "buif" or array.ndim not in (1, 2) or len(array) not in lengths:
@@ -479,7 +479,7 @@ def _polylines(lines: Any, geometry: _Geometry) -> list[arrays.Floats]:
 def _marks(points: Any, geometry: _Geometry) -> arrays.Floats:
     if points is None:
         return np.zeros((0, 3))
-    array = np.asarray(points)
+    array = arrays.anything(points, "points")
     if array.ndim < 2 and array.dtype.kind in "bui":
         return np.ascontiguousarray(geometry.vertices[arrays.indices(points, "points", geometry.count, empty=True)])
     return geometry.place(points, "points")

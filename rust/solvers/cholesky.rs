@@ -322,22 +322,34 @@ impl Cholesky {
     /// `|b - A x| / |b|` of each right-hand side (0 where both are zero), as the factored matrix has it.
     ///
     /// # Errors
-    /// [`Error::Input`] if the sizes do not fit.
+    /// [`Error::Input`] if the sizes do not fit or a number is not finite.
     pub fn residuals(&self, b: &[f64], x: &[f64], width: usize) -> Result<Vec<f64>> {
         let n = self.symbolic.n;
         if Some(b.len()) != n.checked_mul(width) || x.len() != b.len() {
             return Err(Error::input(format!("{} and {} numbers do not make {width} vectors of {n}", b.len(), x.len())));
         }
-        let product = self.matrix().multiply_block(x, width)?;
-        let mut sums = vec![(0.0f64, 0.0f64); width];
-        for (b, product) in b.chunks_exact(width.max(1)).zip(product.chunks_exact(width.max(1))) {
-            for ((sum, &b), &product) in sums.iter_mut().zip(b).zip(product) {
-                sum.0 += (b - product) * (b - product);
-                sum.1 += b * b;
-            }
+        if let Some(at) = b.iter().zip(x).position(|(b, x)| !(b.is_finite() && x.is_finite())) {
+            return Err(Error::input(format!("row {} of b or x is {} or {}; numbers must be finite", at / width, b[at], x[at])));
         }
-        Ok(sums.into_iter().map(|(rest, whole)| if rest == 0.0 { 0.0 } else { (rest / whole).sqrt() }).collect())
+        let product = self.matrix().multiply_block(x, width)?;
+        let rest: Vec<f64> = b.iter().zip(&product).map(|(b, product)| b - product).collect();
+        let (rest, whole) = (norms(&rest, width), norms(b, width));
+        Ok(rest.into_iter().zip(whole).map(|(rest, whole)| if rest == 0.0 { 0.0 } else { rest / whole }).collect())
     }
+}
+
+/// Euclidean norm of each column, infinite only if a number is: squares of very large or small numbers are out of range.
+fn norms(numbers: &[f64], width: usize) -> Vec<f64> {
+    let rows = || numbers.chunks_exact(width.max(1));
+    let mut largest = vec![0.0f64; width];
+    rows().for_each(|row| largest.iter_mut().zip(row).for_each(|(most, number)| *most = most.max(number.abs())));
+    let mut sums = vec![0.0f64; width];
+    for row in rows() {
+        for ((sum, number), &most) in sums.iter_mut().zip(row).zip(&largest) {
+            *sum += if most > 0.0 && most.is_finite() { (number / most) * (number / most) } else { 0.0 };
+        }
+    }
+    largest.iter().zip(sums).map(|(most, sum)| if most.is_finite() { most * sum.sqrt() } else { f64::INFINITY }).collect()
 }
 
 /// An error unless `a_ij` equals `a_ji` to rounding.

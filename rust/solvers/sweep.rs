@@ -54,8 +54,9 @@ impl Block<'_> {
         if let Some(enough) = self.refine {
             let (right, correction) = rest.split_at_mut(n);
             right.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, right)| gather(chunk, right));
-            let scale = squares(right);
-            let before = self.residual(right, x, correction);
+            let units = units(right);
+            let scale = squares(right, &units);
+            let before = self.residual(right, x, correction, &units);
             let poor = |column: usize| before[column] > enough * enough * scale[column] && before[column].is_finite();
             if (0..columns).any(poor) {
                 self.both_sweeps(correction);
@@ -67,7 +68,7 @@ impl Block<'_> {
                 // The step is kept unless it made things worse, as it may where the matrix is singular to working precision.
                 let step: &mut [[f64; W]] = correction;
                 let mut after_space = vec![[0.0; W]; n];
-                let after = self.residual(right, x, &mut after_space);
+                let after = self.residual(right, x, &mut after_space, &units);
                 let worse: Vec<usize> = (0..columns).filter(|&k| after[k] > before[k] || after[k].is_nan()).collect();
                 if !worse.is_empty() {
                     for (x, step) in x.iter_mut().zip(step.iter()) {
@@ -79,8 +80,8 @@ impl Block<'_> {
         x.par_chunks(CHUNK).all(|x| x.iter().flatten().all(|number| number.is_finite()))
     }
 
-    /// `out := b - A x`, and the sum of its squares in each column.
-    fn residual<const W: usize>(&self, b: Rows<'_, W>, x: Rows<'_, W>, out: &mut [[f64; W]]) -> [f64; W] {
+    /// `out := b - A x`, and the sum of its squares in each column, in units.
+    fn residual<const W: usize>(&self, b: Rows<'_, W>, x: Rows<'_, W>, out: &mut [[f64; W]], units: &[f64; W]) -> [f64; W] {
         let symbolic = self.symbolic;
         out.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
             for (offset, out) in out.iter_mut().enumerate() {
@@ -94,7 +95,7 @@ impl Block<'_> {
                 *out = sum;
             }
         });
-        squares(out)
+        squares(out, units)
     }
 
     fn both_sweeps<const W: usize>(&self, x: &mut [[f64; W]]) {
@@ -233,14 +234,26 @@ impl Block<'_> {
     }
 }
 
-/// Sum of squares of each column, grouped in chunks of fixed size.
-fn squares<const W: usize>(rows: &[[f64; W]]) -> [f64; W] {
+/// A factor for each column: 1, or what brings numbers to size 1 whose squares are out of range.
+fn units<const W: usize>(rows: &[[f64; W]]) -> [f64; W] {
+    let sums = squares(rows, &[1.0; W]);
+    std::array::from_fn(|k| {
+        if (1e-200..1e200).contains(&sums[k]) {
+            return 1.0;
+        }
+        let most = rows.iter().fold(0.0, |most: f64, row| most.max(row[k].abs()));
+        if most > 0.0 && most.is_finite() { (1.0 / most).min(1e300) } else { 1.0 }
+    })
+}
+
+/// Sum of squares of each column times its unit, grouped in chunks of fixed size.
+fn squares<const W: usize>(rows: &[[f64; W]], units: &[f64; W]) -> [f64; W] {
     let parts: Vec<[f64; W]> = rows
         .par_chunks(CHUNK)
         .map(|rows| {
             let mut sums = [0.0; W];
             for row in rows {
-                (0..W).for_each(|k| sums[k] += row[k] * row[k]);
+                (0..W).for_each(|k| sums[k] += (units[k] * row[k]) * (units[k] * row[k]));
             }
             sums
         })

@@ -170,3 +170,23 @@ def test_csr_type():
         assert isinstance(matrix, sparse.csr_array)
         assert matrix.has_canonical_format
         matrix.check_format(full_check=True)
+
+
+@pytest.mark.parametrize("kind", ["cotangent", "intrinsic_delaunay", "tufted", "cloud", "mls"])
+def test_what_is_kept_is_read_only(kind):
+    """Arrays that are made once and handed out again cannot be changed by who receives them; scipy takes them as they are."""
+    mesh = bt.shapes.sphere(2)
+    ops = bt.operators(bt.PointCloud(mesh.vertices), laplacian="mls" if kind == "mls" else "auto") if kind in ("cloud", "mls") else None
+    ops = ops or bt.operators(mesh, laplacian=kind)
+    arrays = [ops.mass, ops.boundary, ops.simplex_areas, ops.element_areas, ops.component_labels, ops.component_masses]
+    arrays += [ops.stiffness.data, ops.gradient.data, ops.divergence.data, ops.laplacian.data, ops.simplex_gradient.data, mesh.face_areas]
+    assert [at for at, array in enumerate(arrays) if array.flags.writeable] == []
+    with pytest.raises(ValueError, match="read-only"):
+        ops.stiffness.data[0] = 1.0
+    shifted = ops.stiffness + sparse.diags_array(ops.mass)
+    assert np.isfinite(sparse.linalg.spsolve(sparse.csc_array(shifted), ops.mass)).all()
+    assert np.isfinite(sparse.linalg.eigsh(ops.stiffness, 3, sparse.diags_array(ops.mass), sigma=-1.0, v0=ops.mass)[0]).all()
+    assert sparse.csgraph.connected_components(ops.stiffness)[0] == 1
+    copy = ops.stiffness.copy()
+    copy.data *= 2.0
+    assert np.array_equal(copy.data, 2.0 * ops.stiffness.data)

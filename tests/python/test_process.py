@@ -44,24 +44,47 @@ if __name__ == "__main__":
 LONG = {
     "eigenpairs": "bt.eigenpairs(bt.shapes.sphere(frequency=120), 400)",
     "Cholesky": "a = bt.operators(bt.shapes.sphere(8)); bt.Cholesky(a.stiffness + sparse.diags_array(a.mass))",
+    "Cholesky without coordinates": """
+side = 1000
+line = sparse.diags_array([-np.ones(side - 1), 2 * np.ones(side), -np.ones(side - 1)], offsets=[-1, 0, 1])
+bt.Cholesky(sparse.kron(line, sparse.eye_array(side)) + sparse.kron(sparse.eye_array(side), line))
+""",
 }
+IMPORTS = "import signal, time, numpy as np, scipy.sparse as sparse, beltrami as bt\n"
 
 
-@pytest.mark.parametrize("name", LONG)
-def test_control_c(name):
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_control_c():
     # A job started in the background ignores SIGINT, and its children inherit that.
-    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    code = f"{listen}\nimport beltrami as bt, scipy.sparse as sparse\nprint('go', flush=True)\nwhile True: {LONG[name]}"
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline().strip() == "go"
-    time.sleep(1.5)
-    start = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    _, trace = process.communicate(timeout=60)
-    waited = time.monotonic() - start
-    assert "KeyboardInterrupt" in trace
-    assert waited < 3.0  # half a second is the aim; a busy machine needs room
+    code = f"{IMPORTS}signal.signal(signal.SIGINT, signal.default_int_handler)\nprint('go', flush=True)\nwhile True: {LONG['eigenpairs']}"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().strip() == "go"
+            time.sleep(1.0)
+            process.send_signal(signal.SIGINT)
+            assert "KeyboardInterrupt" in process.communicate(timeout=120)[1]
+        finally:
+            process.kill()
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers of POSIX")
+@pytest.mark.parametrize("after", [0.4, pytest.param(1.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", LONG)
+def test_interruptions_are_served_soon(name, after):
+    """By the CPU time from the signal until it is served, which a busy machine does not lengthen: up to .4 s on two threads."""
+    code = f"""{IMPORTS}
+signal.signal(signal.SIGPROF, signal.default_int_handler)
+due = time.process_time() + {after}
+signal.setitimer(signal.ITIMER_PROF, {after})
+try:
+    exec({LONG[name]!r})
+    print("the call had come to its end")
+except KeyboardInterrupt:
+    print(time.process_time() - due)
+"""
+    done = run(code, BELTRAMI_NUM_THREADS="2")
+    assert float(done.stdout) < 2.0, done.stderr
 
 
 def test_other_python_threads_run_meanwhile():
@@ -80,7 +103,7 @@ def test_other_python_threads_run_meanwhile():
         done.set()
         thread.join()
     assert len(ticks) > 5
-    assert max(np.diff(ticks)) < 1.0
+    assert max(np.diff(ticks)) < 0.5 * (ticks[-1] - ticks[0])  # all of it, were the GIL held
 
 
 def test_eight_python_threads_at_once():
@@ -134,9 +157,10 @@ def test_errors_are_builtins_too():
 
 
 def test_import_is_quick():
-    """Half the bound of a second that users notice, on a machine that may be busy; the aim of .25 s is `make bench`'s to print."""
-    code = "import numpy, scipy.sparse, time; t = time.process_time(); import beltrami; print(time.process_time() - t)"
-    assert min(float(run(code).stdout) for _ in range(3)) < 0.25
+    """Less CPU time than numpy and scipy.sparse take themselves (measured .4 of it), on whatever machine."""
+    clock = "time.process_time()"
+    code = f"import time; a = {clock}; import numpy, scipy.sparse; b = {clock}; import beltrami; print(({clock} - b) / (b - a))"
+    assert min(float(run(code).stdout) for _ in range(3)) < 1.0
 
 
 def test_heavy_packages_stay_out():

@@ -253,3 +253,11 @@ def test_any_faces_are_counted_right(faces, numbers):
         assert getattr(renumbered, name) == getattr(mesh, name)
     if mesh.is_manifold:
         assert renumbered.boundary_loops == mesh.boundary_loops
+
+
+@pytest.mark.parametrize("values", [[[1], [2, 3], [4]], [np.ones(2), np.ones(3), np.ones(2)], [1, 2], 5.0])
+def test_data_that_are_no_array(values):
+    with pytest.raises(bt.InputError, match=r"data\['x'\]"):
+        bt.TriangleMesh([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], data={"x": values})
+    with pytest.raises(bt.InputError, match=r"data\['x'\]"):
+        bt.PointCloud([[0, 0], [1, 0], [0, 1]], dimension=1, data={"x": values})

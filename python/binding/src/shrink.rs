@@ -8,11 +8,20 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2, PyUntypedArra
 use pyo3::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
-/// Simplices with weights and hat gradients.
+/// Simplices with weights and hat gradients. No lock is held while the pool works: a worker that waits may pick up another caller's job.
 #[pyclass(frozen, module = "beltrami._core")]
 pub struct Elements {
     pub elements: shrink::Elements,
     scratch: Mutex<shrink::Scratch>,
+}
+
+impl Elements {
+    fn with_scratch<T>(&self, work: impl FnOnce(&mut shrink::Scratch) -> T) -> T {
+        let mut scratch = std::mem::take(&mut *self.scratch.lock().unwrap_or_else(PoisonError::into_inner));
+        let outcome = work(&mut scratch);
+        *self.scratch.lock().unwrap_or_else(PoisonError::into_inner) = scratch;
+        outcome
+    }
 }
 
 pub fn written<'a>(array: &'a mut PyReadwriteArray2<'_, f64>, py: Python<'_>) -> PyResult<&'a mut [f64]> {
@@ -52,10 +61,7 @@ impl Elements {
     fn flux(&self, py: Python<'_>, field: PyReadonlyArray2<'_, f64>, mut flux: PyReadwriteArray2<'_, f64>) -> PyResult<()> {
         let channels = flux.shape()[1];
         let ((field, _), flux) = (table(&field)?, written(&mut flux, py)?);
-        run::brief(py, || {
-            let mut scratch = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-            self.elements.flux(field, channels, flux, &mut scratch)
-        })
+        run::brief(py, || self.with_scratch(|scratch| self.elements.flux(field, channels, flux, scratch)))
     }
 
     /// One sweep of shrinkage; `split`, `dual` and `flux` are written.
@@ -74,10 +80,7 @@ impl Elements {
         let (values, channels) = table(&values)?;
         let how = Shrinkage { channels, joint, radius, penalty, relaxation };
         let (split, dual, flux) = (written(&mut split, py)?, written(&mut dual, py)?, written(&mut flux, py)?);
-        run::brief(py, || {
-            let mut scratch = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-            self.elements.shrink(values, how, split, dual, flux, &mut scratch)
-        })
+        run::brief(py, || self.with_scratch(|scratch| self.elements.shrink(values, how, split, dual, flux, scratch)))
     }
 }
 
