@@ -1,17 +1,31 @@
 .DEFAULT_GOAL := help
 PYTHON ?= python3
 BIN := .venv/bin
+# the binding's tests and lints look for a Python: that of the environment, which is always there
+export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
+# where rustup puts cargo, if this shell has not been told yet
+export PATH := $(PATH):$(HOME)/.cargo/bin
 # property tests draw the same examples in every run: a red run can be repeated (see tests/python/conftest.py for Python's)
 # small dense matrices of the tests only suffer from threads of their own
 export OPENBLAS_NUM_THREADS ?= 1
 export PROPTEST_RNG_SEED ?= 20
 SOURCES := $(shell find rust python/binding -name '*.rs') Cargo.toml Cargo.lock python/binding/Cargo.toml pyproject.toml
 
-.PHONY: help build demo test check bars bench docs slow clean
+.PHONY: help system build demo test check bars bench docs slow clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
 
-.venv/.made: pyproject.toml
+system: ## what a bare Debian or Ubuntu lacks: a linker, Python's venv, Rust; elsewhere it says what is missing
+	@missing=; command -v cc >/dev/null || missing="build-essential"; \
+	$(PYTHON) -c "import ensurepip, venv" 2>/dev/null || missing="$$missing python3 python3-venv"; \
+	command -v cargo >/dev/null || command -v curl >/dev/null || missing="$$missing curl ca-certificates"; \
+	if [ -n "$$missing" ]; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then apt-get update -qq && apt-get install -qq -y $$missing >/dev/null; \
+	  else echo "please install first: $$missing"; exit 1; fi; \
+	fi
+	@command -v cargo >/dev/null || curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh -s -- -q -y --profile default
+
+.venv/.made: pyproject.toml | system
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -q --upgrade pip "maturin>=1.9,<2"
 	$(BIN)/python -c "import tomllib" 2>/dev/null || $(BIN)/python -m pip install -q tomli
@@ -33,6 +47,7 @@ test: build ## all tests: Rust, Python, and what `make check` asks
 	@$(MAKE) --no-print-directory check
 
 check: build ## formatting, lints, types, stubs
+	@cargo fmt --version >/dev/null 2>&1 && cargo clippy --version >/dev/null 2>&1 || rustup component add rustfmt clippy
 	cargo fmt --all --check
 	cargo clippy --release --workspace --all-targets --quiet -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --quiet
