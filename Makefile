@@ -64,7 +64,8 @@ docs: build ## the site: site/index.html, with a reference of all names
 
 bench: build ## times of the kernels, and side by side with other libraries where they are installed
 	cargo bench --quiet
-	@for script in benches/peers/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+	$(BIN)/python benches/results.py
+	$(BIN)/python benches/scale.py
 
 slow: build ## the sweeps that take minutes
 	HYPOTHESIS_PROFILE=random $(BIN)/python -m pytest -q -m slow

@@ -641,18 +641,14 @@ impl Search<'_> {
         self.normalize(next, width, room)
     }
 
-    /// W - V (V^T M W), twice; the coefficients.
+    /// W - V (V^T M W), in place; the coefficients. What rounding leaves is taken off when the block is made orthonormal.
     fn orthogonalize(&self, block: &mut [f64], width: usize) -> Result<Mat<f64>> {
-        let mut total = Mat::zeros(self.basis.width, width);
         if self.basis.width == 0 {
-            return Ok(total);
+            return Ok(Mat::zeros(0, width));
         }
-        for _ in 0..2 {
-            let coefficients = self.basis.inner(&self.pencil.mass_times(block, width)?, width);
-            self.basis.subtract(block, width, &coefficients);
-            total += coefficients;
-        }
-        Ok(total)
+        let coefficients = self.basis.inner(&self.pencil.mass_times(block, width)?, width);
+        self.basis.subtract(block, width, &coefficients);
+        Ok(coefficients)
     }
 
     /// Makes the block orthonormal, W = Q R: Q becomes the next block (at most `room` columns), R the coupling. Directions
