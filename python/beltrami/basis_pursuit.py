@@ -516,9 +516,7 @@ class ConformalRegistrationResult:
             raise InputError(f"values has {given.shape[:1]} rows, the source has {len(self.point_map)} vertices")
         return given[self.inverse_map]
 
-    def plot(
-        self, values: Any = "log_factor", *, path: str | os.PathLike[str] | None = None, **options: Any
-    ) -> Picture | Page:
+    def plot(self, values: Any = "log_factor", *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the target.
 
         Parameters

@@ -1,0 +1,375 @@
+"""From a Reeb graph to a curve along the middle: which contours become nodes, and where the middle of the shape is."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from .arrays import Floats, Ints
+from .complexes import Complex, Indices
+from .near import intersect_rays, nearest_neighbors
+from .reeb import Limb, SimplifiedGraph
+from .shapes import PointCloud, Shape, TriangleMesh
+
+DIRECTIONS = 24  # of the rays that center a node
+ROUNDS = 8  # tangents turn as nodes move
+FAT = 0.7  # a limb thinner than this share of another one at the joint ends at a body rather than at a tube
+
+
+@dataclass
+class Drawing:
+    """Nodes of one component: limbs are chains of node numbers, joints and tips included; a closed one repeats its first node."""
+
+    nodes: Floats
+    radii: Floats
+    chains: list[list[int]]
+    joints: dict[int, float]  # node: radius of the widest limb there
+    node_of_group: Indices
+
+    def is_ring(self, chain: list[int]) -> bool:
+        """Whether a chain is a loop without a joint."""
+        return chain[0] == chain[-1] and chain[0] not in self.joints
+
+
+def draw(simple: SimplifiedGraph, spacing: float) -> Drawing:
+    """Chooses the contours that become nodes: not those bent by a joint, not those at the very tip, none too dense."""
+    graph = simple.graph
+    centers, radii = graph.centers, graph.radii
+    degree = simple.degrees()
+    at: dict[int, list[tuple[Limb, int]]] = defaultdict(list)
+    for limb in simple.limbs:
+        at[limb.ends[0]].append((limb, 0))
+        at[limb.ends[1]].append((limb, -1))
+    nodes: list[Floats] = []
+    widths: list[float] = []
+    number: dict[int, int] = {}
+    joints: dict[int, float] = {}
+    for joint in sorted(at):
+        if degree[joint] > 2:
+            near = [limb.groups[end] for limb, end in at[joint]]
+            number[joint] = len(nodes)
+            joints[len(nodes)] = max(_end_width(graph.radii[limb.groups], graph.centers[limb.groups], end) for limb, end in at[joint])
+            widths.append(float(np.median(radii[near])))
+            nodes.append(np.average(centers[near], axis=0, weights=graph.length[near]))
+    node_of_group = np.full(len(centers), -1)
+    chains = []
+    for limb in simple.limbs:
+        groups = np.asarray(limb.groups)
+        chosen = _chosen(centers[groups], radii[groups], [degree[end] for end in limb.ends], limb.ends[0] == limb.ends[1], spacing)
+        numbers = list(range(len(nodes), len(nodes) + len(chosen)))
+        nodes += list(centers[groups[chosen]])
+        widths += radii[groups[chosen]].tolist()
+        nearest = np.abs(np.arange(len(groups))[:, None] - chosen).argmin(1)
+        node_of_group[groups] = np.asarray(numbers)[nearest]
+        first, last = ([number[end]] if end in number else [] for end in limb.ends)
+        chain = first + numbers + last
+        if limb.ends[0] == limb.ends[1] and limb.ends[0] not in number:
+            chain.append(numbers[0])
+        chains.append(chain)
+    for joint, fallen in simple.fallen.items():
+        home = number.get(joint)
+        if home is None:  # the joint of a ring: the nearest end of its limb
+            limb, end = at[joint][0]
+            home = int(node_of_group[limb.groups[end]])
+        node_of_group[np.asarray(fallen, np.int64)] = home
+    for group, beside in simple.stray:
+        node_of_group[group] = node_of_group[beside]
+    return Drawing(np.array(nodes), np.array(widths), chains, joints, node_of_group)
+
+
+def _travelled(x: Floats) -> Floats:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
+
+
+def _end_width(radii: Floats, x: Floats, end: int) -> float:
+    """Radius of a limb near one of its ends (0 or -1): the median over the first three radii."""
+    travelled = _travelled(x)
+    ahead = travelled if end == 0 else travelled[-1] - travelled
+    width = float(np.median(radii))
+    for _ in range(3):
+        width = float(np.median(radii[ahead <= 3 * width]))
+    return width
+
+
+def _chosen(x: Floats, radii: Floats, degrees: list[int], ring: bool, spacing: float) -> Indices:
+    """Places in a limb whose contours become nodes."""
+    travelled = _travelled(x)
+    total = float(travelled[-1])
+    allowed = np.ones(len(x), bool)
+    for end, degree in ((0, degrees[0]), (-1, degrees[1])):
+        ahead = travelled if end == 0 else total - travelled
+        width = _end_width(radii, x, end)
+        if degree > 2:
+            allowed &= ahead >= min(0.65 * width, 0.35 * total)
+            allowed &= (ahead > 2 * width) | (radii < 1.4 * width)
+        elif degree == 1:
+            allowed &= ahead >= min(width, 0.4 * total)
+    need = 3 if ring else 2 if min(degrees) == 1 else 1
+    if allowed.sum() < need:
+        allowed[np.argsort(np.abs(travelled - total / 2), kind="stable")[:need]] = True
+    places = np.flatnonzero(allowed)
+    kept = [int(places[0])]
+    for place in places[1:].tolist():
+        if travelled[place] - travelled[kept[-1]] >= max(0.3 * radii[place], 0.5 * spacing):
+            kept.append(place)
+    if degrees[1] != 2 and kept[-1] != places[-1]:  # the last one stays, the one before it may go
+        kept = [*(kept[:-1] if len(kept) > need else kept), int(places[-1])]
+    if len(kept) < need:
+        kept = places[np.unique(np.linspace(0, len(places) - 1, need).round().astype(np.int64))].tolist()
+    return np.asarray(kept, np.int64)
+
+
+# --- the middle ------------------------------------------------------------------------------------------------------------------------
+
+
+def _smooth(x: Floats, widths: Floats, ring: bool, factor: float) -> tuple[Floats, Floats]:
+    """Positions and unit tangents of a polyline by local quadratic fits with Gaussian weights, ``factor`` times the radius wide."""
+    count = len(x)
+    if count < 3:
+        tangents = np.repeat((x[-1] - x[0])[None], count, axis=0)
+        return x.copy(), tangents / max(float(np.linalg.norm(tangents[0])), 1e-300)
+    travelled = _travelled(x)
+    apart = travelled[None] - travelled[:, None]
+    if ring:
+        turn = travelled[-1] + float(np.linalg.norm(x[0] - x[-1]))
+        apart = (apart + turn / 2) % turn - turn / 2
+    near = np.sort(np.abs(apart), axis=1)[:, min(3, count - 1)]
+    sigma = np.maximum(np.maximum(factor * widths, 0.7 * near), 1e-300)[:, None]
+    scaled = apart / sigma
+    weights = np.exp(-0.5 * scaled**2)
+    terms = [weights]
+    for _ in range(4):
+        terms.append(terms[-1] * scaled)
+    moments = np.stack([term.sum(1) for term in terms], 1)
+    matrix = np.stack([moments[:, [0, 1, 2]], moments[:, [1, 2, 3]], moments[:, [2, 3, 4]]], 1) + 1e-9 * np.eye(3)
+    right = np.stack([term @ x for term in terms[:3]], 1)
+    fit = np.linalg.solve(matrix, right)
+    slopes = right[:, 1] - (moments[:, 1] / moments[:, 0])[:, None] * right[:, 0]  # of linear fits: steadier at the ends
+    slopes /= np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)[:, None]
+    return np.asarray(fit[:, 0], np.float64), np.asarray(slopes, np.float64)
+
+
+class Section:
+    """Distances from nodes to the surface in the planes across the skeleton, in ``DIRECTIONS`` directions; NaN where there is none."""
+
+    def __init__(self, complex_: Complex, drawing: Drawing, owners: Indices, shape: Shape) -> None:
+        self.turn = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
+        self.mesh = shape if isinstance(shape, TriangleMesh) else None
+        self.spacing = complex_.spacing
+        if self.mesh is not None:
+            corners = self.mesh.vertices[self.mesh.faces]
+            self.normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            middle = corners.reshape(-1, 3).mean(0)
+            self.side = 1.0 if np.einsum("md,md->", self.normals, corners[:, 0] - middle) >= 0 else -1.0
+        else:  # the points themselves, also those that were too noisy for the complex
+            self.points = complex_.sources
+            nearest = owners if len(owners) == len(self.points) else owners[nearest_neighbors(complex_.points, self.points, 1)[0][:, 0]]
+            self.trees: dict[int, tuple[Floats, cKDTree]] = {}
+            for number, chain in enumerate(drawing.chains):
+                mine = self.points[np.isin(nearest, chain)]
+                if len(mine):
+                    self.trees[number] = (mine, cKDTree(mine))
+
+    def frames(self, tangents: Floats) -> tuple[Floats, Floats]:
+        """Two unit vectors across each tangent."""
+        u = np.cross(tangents, np.eye(3)[np.abs(tangents).argmin(1)])
+        u /= np.maximum(np.linalg.norm(u, axis=1), 1e-300)[:, None]
+        return u, np.cross(tangents, u)
+
+    def __call__(self, x: Floats, tangents: Floats, widths: Floats, chains: Ints) -> tuple[Floats, Floats, Floats]:
+        """Distances (k, directions), and the two vectors that the directions turn from and to. ``chains``: the limb of each node."""
+        u, v = self.frames(tangents)
+        if self.mesh is None:
+            return self._sectors(x, tangents, u, v, widths, chains), u, v
+        directions = np.cos(self.turn)[None, :, None] * u[:, None] + np.sin(self.turn)[None, :, None] * v[:, None]
+        flat = directions.reshape(-1, 3)
+        hits = intersect_rays(self.mesh, np.repeat(x, DIRECTIONS, axis=0), flat)
+        outward = self.side * np.einsum("rd,rd->r", self.normals[hits.faces], flat) > 0
+        return np.where((hits.faces >= 0) & outward, hits.distances, np.nan).reshape(len(x), DIRECTIONS), u, v
+
+    def _sectors(self, x: Floats, tangents: Floats, u: Floats, v: Floats, widths: Floats, chains: Ints) -> Floats:
+        """Each direction sees the points of the limb near the plane, weighted by a bump of two sectors: contours have few points."""
+        distances = np.full((len(x), DIRECTIONS), np.nan)
+        directions = np.stack([np.cos(self.turn), np.sin(self.turn)])
+        for chain in np.unique(chains).tolist():
+            if chain not in self.trees:
+                continue
+            points, tree = self.trees[chain]
+            here = np.flatnonzero(chains == chain)
+            for node, near in zip(here.tolist(), tree.query_ball_point(x[here], 2.0 * widths[here]), strict=True):
+                offset = points[near] - x[node]
+                offset = offset[np.abs(offset @ tangents[node]) < max(0.35 * widths[node], self.spacing)]
+                if len(offset) < 6:
+                    continue
+                flat = np.stack([offset @ u[node], offset @ v[node]], 1)
+                reach = np.linalg.norm(flat, axis=1)
+                bump = np.exp(24.0 * (flat @ directions / np.maximum(reach, 1e-300)[:, None] - 1.0))
+                total = bump.sum(0)
+                distances[node] = np.where(total > 0.5, reach @ bump / np.maximum(total, 1e-300), np.nan)
+        return distances
+
+
+def center(drawing: Drawing, section: Section | None) -> None:
+    """Moves nodes to the middle of the sections across the skeleton, and joints to where their limbs point.
+
+    Where a thin limb meets a thick body its way from the surface to the middle of the body is long: nodes are put on it, and the joint
+    is centered like a node of the body.
+    """
+    noisy = section is None or section.mesh is None
+    for round_ in range(ROUNDS // 2 if noisy else ROUNDS):
+        _center_once(drawing, section, noisy)
+        if round_ == 1:
+            _fill(drawing)
+    if noisy:
+        for chain in drawing.chains:
+            own = np.asarray([node for node in dict.fromkeys(chain) if node not in drawing.joints])
+            if len(own) > 3:
+                drawing.nodes[own] = _smooth(drawing.nodes[own], drawing.radii[own], drawing.is_ring(chain), 0.7)[0]
+
+
+def _fill(drawing: Drawing) -> None:
+    """Nodes a radius apart between joints and the thin limbs that end there."""
+    new_nodes, new_radii = [drawing.nodes], [drawing.radii]
+    count = len(drawing.nodes)
+    for at, chain in enumerate(drawing.chains):
+        filled = [chain[0]]
+        for a, b in itertools.pairwise(chain):
+            joint, node = (a, b) if a in drawing.joints else (b, a)
+            if joint in drawing.joints and node not in drawing.joints and drawing.radii[node] < FAT * drawing.joints[joint]:
+                length = float(np.linalg.norm(drawing.nodes[a] - drawing.nodes[b]))
+                steps = min(int(length / max(float(drawing.radii[node]), 1e-300)), 12)
+                share = (np.arange(1, steps + 1) / (steps + 1))[:, None]
+                new_nodes.append(drawing.nodes[a] + share * (drawing.nodes[b] - drawing.nodes[a]))
+                new_radii.append(np.full(steps, drawing.radii[node]))
+                filled += range(count, count + steps)
+                count += steps
+            filled.append(b)
+        drawing.chains[at] = filled
+    drawing.nodes, drawing.radii = np.concatenate(new_nodes), np.concatenate(new_radii)
+
+
+def _center_once(drawing: Drawing, section: Section | None, noisy: bool) -> None:
+    ends: dict[int, list[list[int]]] = {joint: [] for joint in drawing.joints}
+    numbers, starts, smooths, tangents, chains = [], [], [], [], []
+    for at, chain in enumerate(drawing.chains):
+        for way in (chain, chain[::-1]):
+            if way[0] in ends:
+                ends[way[0]].append(way)
+        inner = [node for node in dict.fromkeys(chain) if node not in drawing.joints]
+        if not inner:
+            continue
+        # where a limb is long its tangents do without the joints, which are placed by them
+        used = np.asarray(inner if len(inner) > 3 or len(chain) == len(inner) else chain)
+        free = np.isin(used, inner)
+        smooth, along = _smooth(drawing.nodes[used], drawing.radii[used], drawing.is_ring(chain), 0.4)
+        numbers.append(used[free])
+        smooths.append(smooth[free])
+        starts.append((smooth if noisy else drawing.nodes[used])[free])
+        tangents.append(along[free])
+        chains.append(np.full(int(free.sum()), at, np.int32))
+    where, start, smooth = np.concatenate(numbers), np.concatenate(starts), np.concatenate(smooths)
+    joints = [_Meeting(drawing, joint, limbs) for joint, limbs in ends.items()]
+    if section is None:
+        drawing.nodes[where] = smooth
+        for joint in joints:
+            drawing.nodes[joint.number] = joint.tries[0]
+        return
+    # one call for all nodes and joints: rays are quick, what they need is built anew each time
+    x = np.concatenate([start, *(joint.tries for joint in joints)])
+    along = np.concatenate([*tangents, *(joint.tangents for joint in joints)])
+    widths = np.concatenate([drawing.radii[where], *(np.full(len(joint.tries), joint.width) for joint in joints)])
+    limbs = np.concatenate([*chains, *(np.full(len(joint.tries), -1, np.int32) for joint in joints)])
+    distances, u, v = section(x, along, widths, limbs)
+    shift, mean, good = _middle(distances, u, v, section.turn)
+    count = len(where)
+    drawing.nodes[where] = np.where(good[:count, None], start + shift[:count], smooth)
+    drawing.radii[where[good[:count]]] = mean[:count][good[:count]]
+    for joint in joints:
+        here = slice(count, count + len(joint.tries))
+        count = here.stop
+        drawing.nodes[joint.number] = joint.tries[0]
+        if good[here].any():
+            best = int(np.argmax(good[here]))
+            drawing.nodes[joint.number] = joint.tries[best] + (shift[here][best] if joint.fat else 0.0)
+            drawing.radii[joint.number] = mean[here][best]
+
+
+class _Meeting:
+    """Where a joint may be: nearest to the straight continuations of its limbs (least squares), not far from where wide ones end;
+    should that lie outside of the shape, nearer to the widest. ``fat``: it belongs to a body, and to the middle of the section across."""
+
+    def __init__(self, drawing: Drawing, joint: int, limbs: list[list[int]]) -> None:
+        self.number, self.fat, self.width = joint, False, float(drawing.radii[joint])
+        self.tries, self.tangents = drawing.nodes[[joint]], np.eye(3)[:1]
+        matrix, right = np.zeros((3, 3)), np.zeros(3)
+        firsts: list[int] = []
+        for chain in limbs:
+            near = np.asarray([node for node in chain[1:] if node not in drawing.joints])
+            if len(near) == 0:
+                continue
+            firsts.append(int(near[0]))
+            reach = np.linalg.norm(drawing.nodes[near] - drawing.nodes[near[0]], axis=1)
+            points = drawing.nodes[near[: max(2, int((np.cumsum(reach > 2.0 * drawing.radii[near[0]]) == 0).sum()))]]
+            if len(points) > 1:
+                direction = np.linalg.svd(points - points.mean(0))[2][0]
+                across = np.eye(3) - np.outer(direction, direction)
+                matrix += across
+                right += across @ points.mean(0)
+        if not firsts:
+            return
+        firsts.sort(key=lambda node: (-drawing.radii[node], node))
+        widths = drawing.radii[firsts]
+        self.width = float(widths[0])
+        self.fat = bool(widths[-1] < FAT * self.width)
+        # lines that are nearly parallel say little: stay near the ends, of wide limbs above all
+        trunk = np.average(drawing.nodes[firsts], axis=0, weights=(widths / self.width) ** 4 + 1e-9)
+        offset = np.linalg.solve(matrix + 0.03 * np.eye(3), right + 0.03 * trunk) - trunk
+        place = trunk + offset * min(1.0, 1.5 * self.width / max(float(np.linalg.norm(offset)), 1e-300))
+        along = drawing.nodes[firsts[0]] - drawing.nodes[firsts[-1 if len(firsts) == 1 else 1]]
+        length = float(np.linalg.norm(along))
+        shares = np.linspace(0, 1, 6 if length > 0 else 1)[:, None]
+        self.tries = (1 - shares) * place + shares * drawing.nodes[firsts[0]]
+        self.tangents = np.repeat((along / length if length > 0 else np.eye(3)[0])[None], len(self.tries), axis=0)
+
+
+def _middle(distances: Floats, u: Floats, v: Floats, turn: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    """Where the middle of each section lies from the node, its mean radius, and whether the node sees enough of the surface."""
+    absent = np.isnan(distances).sum(1) / DIRECTIONS
+    typical = np.asarray(np.nanmedian(np.where((absent == 1)[:, None], 0.0, distances), axis=1))
+    bounded = np.minimum(distances, 1.9 * typical[:, None])  # rays may run into another limb
+    bounded = np.where(np.isnan(bounded), typical[:, None], bounded)
+    shift: Floats = ((bounded @ np.cos(turn))[:, None] * u + (bounded @ np.sin(turn))[:, None] * v) / DIRECTIONS
+    good: npt.NDArray[np.bool_] = (absent < 0.4) & (typical > 0)
+    return shift, bounded.mean(1), good
+
+
+def descended(drawing: Drawing, points: Floats, owners: Indices) -> Indices:
+    """Moves each point's node along the graph as long as that brings it nearer."""
+    around: list[set[int]] = [set() for _ in drawing.nodes]
+    for chain in drawing.chains:
+        for a, b in itertools.pairwise(chain):
+            around[a].add(b)
+            around[b].add(a)
+    width = max(map(len, around), default=0)
+    table = np.array([[node, *sorted(other), *[node] * (width - len(other))] for node, other in enumerate(around)])
+    owners = owners.copy()
+    moving = np.arange(len(owners))
+    while len(moving):
+        options = table[owners[moving]]
+        offset = points[moving, None] - drawing.nodes[options]
+        best = np.einsum("nkd,nkd->nk", offset, offset).argmin(1)
+        owners[moving] = options[np.arange(len(moving)), best]
+        moving = moving[best > 0]
+    return owners
+
+
+def section_of(complex_: Complex, drawing: Drawing, owners: Indices, shape: Shape) -> Section | None:
+    """What says where the middle is: rays in closed meshes, the points themselves in clouds, nothing on open meshes."""
+    if isinstance(shape, PointCloud) or shape.is_closed:
+        return Section(complex_, drawing, owners, shape)
+    return None
