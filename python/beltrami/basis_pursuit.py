@@ -22,7 +22,7 @@ from . import arrays, limbs
 from .arrays import Floats
 from .conformal import SphericalMapResult, spherical_map
 from .eigen import Eigenpairs, eigenpairs
-from .errors import Cancelled, InputError, NumericalError, TopologyError
+from .errors import Cancelled, ConvergenceError, InputError, NumericalError, TopologyError
 from .limbs import Indices, Sphered, Surface, nearest_rows
 from .operators import Operators, operators
 from .progress import Progress, reporter
@@ -38,6 +38,7 @@ Orientation = Literal["preserving", "reversing", "any"]
 
 BLUR = 0.01  # share of the area over which the factor of a map is averaged
 COARSE_BLUR = 0.3  # the same for the weights of upsampling, where only the factor's main course matters
+ANCHOR = 3.0  # weight of the spherical features beside the bases of a shape of unit area
 TRUSTED = 0.05  # share of sqrt(area) there and back at which the confidence has fallen to 1 / e
 
 
@@ -268,7 +269,7 @@ def factor_of_map(source: Surface, target: Surface, forward: Indices, blur: floa
     for _ in range(sweeps):
         matrix = plus_diagonal(blurred, np.exp(eta) * weights)
         factor = Cholesky(matrix, target.operators.coordinates) if factor is None else factor.refactor(matrix)
-        eta = np.clip(eta + np.log(np.maximum(factor.solve(arriving), 1e-8)), -60.0, 60.0)
+        eta = np.clip(eta + np.log(np.maximum(factor.solve(arriving), 1e-3)), -25.0, 25.0)
         eta -= np.log(np.exp(eta) @ target.mass)
     return eta
 
@@ -284,12 +285,21 @@ class _Candidate:
     marks: Indices
     eta: Floats
     roughness: float
+    anchors: tuple[Floats, Floats] | None = None  # features that the map came from
 
 
-def _candidate(name: str, source: Surface, target: Surface, forward: Indices, backward: Indices, marks: Indices) -> _Candidate:
+def _candidate(
+    name: str,
+    source: Surface,
+    target: Surface,
+    forward: Indices,
+    backward: Indices,
+    marks: Indices,
+    anchors: tuple[Floats, Floats] | None = None,
+) -> _Candidate:
     eta, back = factor_of_map(source, target, forward), factor_of_map(target, source, backward)
     rough = float(eta @ (target.stiffness @ eta)) + float(back @ (source.stiffness @ back))
-    return _Candidate(name, forward, backward, marks, eta, rough)
+    return _Candidate(name, forward, backward, marks, eta, rough, anchors)
 
 
 def _aligned(source: Surface, phi: Floats, psi: Floats, weight: Floats, forward: Indices, backward: Indices) -> Floats:
@@ -301,15 +311,18 @@ def _aligned(source: Surface, phi: Floats, psi: Floats, weight: Floats, forward:
 
 
 def _upsampled(task: _Task, phi: Floats, start: _Candidate, levels: Iterable[int], report: Callable[[float], None]) -> _Candidate:
-    """Spectral upsampling (Melzi et al. 2019) in the metric of the map's own factor."""
+    """Spectral upsampling (Melzi et al. 2019) in the metric of the map's own factor. Where the start has features, rows of both are
+    compared: the bases smooth the map, the features keep it from sliding along limbs."""
     source, target = task.source, task.target
     forward, backward = start.forward, start.backward
     near: Floats | None = None
     for k in levels:
         weight = np.exp(factor_of_map(source, target, forward, COARSE_BLUR, 1)) * target.mass
-        psi = near = eigenpairs(target.stiffness, k, mass=weight, start=near).functions
-        left = phi[:, :k] @ _aligned(source, phi[:, :k], psi, weight, forward, backward)
-        forward, backward = nearest_rows(psi, left), nearest_rows(left, psi)
+        right = near = eigenpairs(target.stiffness, k, mass=weight, start=near).functions
+        left = phi[:, :k] @ _aligned(source, phi[:, :k], right, weight, forward, backward)
+        if start.anchors is not None:
+            left, right = (np.column_stack([x, ANCHOR * y]) for x, y in zip((left, right), start.anchors, strict=True))
+        forward, backward = nearest_rows(right, left), nearest_rows(left, right)
         report(0.6)
     return _candidate(f"{start.name}, upsampled", source, target, forward, backward, start.marks)
 
@@ -700,8 +713,11 @@ def register_conformal(
     size = max(k, min(finest or k, min(counts) // 4))
     pairs = eigenpairs(a.stiffness, size, mass=a.mass)
     if finest is not None:
-        levels = sorted({max(k, (8 * size) // 10), size})
-        candidates.append(_upsampled(task, pairs.functions, best, levels, report))
+        levels = sorted({max(k, (share * size) // 10) for share in (4, 7, 10)})
+        try:
+            candidates.append(_upsampled(task, pairs.functions, best, levels, report))
+        except (ConvergenceError, NumericalError) as error:
+            task.notes.append(f"not refined: {error}")
         best = min(candidates, key=lambda one: one.roughness)
     report(0.7)
 
@@ -804,12 +820,12 @@ def _spherical_starts(
         for marks in choices:
             if len(marks) < 3:
                 continue
-            marks = limbs.paired_tips(a, b, marks)
+            marks = limbs.without_outliers(a, b, limbs.paired_tips(a, b, marks), len(task.marks))
             name = "spherical, mirrored" if mirrored else "spherical"
             first, second = limbs.features(a, b, marks)
             for how, other in ((name, second), (f"{name}, limbs stretched", limbs.stretched(a, b, marks, first, second))):
                 forward, backward = nearest_rows(other, first), nearest_rows(first, other)
-                made.append(_candidate(how, task.source, task.target, forward, backward, marks))
+                made.append(_candidate(how, task.source, task.target, forward, backward, marks, (first, other)))
                 report(0.2)
         made.sort(key=lambda one: one.roughness)
         found += made[:2]

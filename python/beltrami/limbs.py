@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from .arrays import Floats
 from .conformal import SphericalMapResult
+from .errors import InputError
 from .moebius import Moebius
 from .near import nearest_neighbors
 from .operators import Operators
@@ -32,6 +33,7 @@ PROTRUDES = 1.5  # depth, in e-foldings of the map's scale, from which something
 LEAST_LIMB = 2e-3  # share of the area from which it does
 SAME_PLACE = 0.6  # distance of features below which two tips cannot be told apart
 CLEAR = 0.6  # a pair of tips must be nearer by this factor than any other choice
+CLOSE = 0.15  # the same: up to here a pair of tips must fit better
 NEAR_LANDMARK = 0.06  # share of sqrt(area): a tip nearer than this to a landmark says nothing new
 
 
@@ -201,12 +203,13 @@ def features(a: Sphered, b: Sphered, marks: Indices, deepest: float = DEEPEST) -
 
 def paired_tips(a: Sphered, b: Sphered, marks: Indices) -> Indices:
     """The landmarks, and pairs of tips that the landmarks leave no doubt about; the surest first, and each helps to find the next."""
-    limit = max(2 * misfit(a, b, marks), 0.5)
+    base = misfit(a, b, marks)
     while True:
         first, second = features(a, b, marks, 12.0)
-        free = []
+        free, ways = [], []
         for side, own, table in ((a, marks[:, 0], first), (b, marks[:, 1], second)):
             near = side.surface.distances(own).min(0)
+            ways.append(near)
             kept: list[int] = []
             for v in side.tips:
                 if near[v] >= NEAR_LANDMARK and all(np.linalg.norm(table[v] - table[w]) > SAME_PLACE for w in kept):
@@ -221,11 +224,26 @@ def paired_tips(a: Sphered, b: Sphered, marks: Indices) -> Indices:
             others = np.concatenate([np.delete(row, j), np.delete(apart[:, j], i)])
             if (others * CLEAR <= row[j]).any() or row[j] > 3.0 or (best is not None and row[j] >= best[0]):
                 continue
-            if _misfit_of(a, b, marks, (free[0][i], free[1][j])) < limit:
-                best = (float(row[j]), free[0][i], free[1][j])
+            p, q = free[0][i], free[1][j]
+            # Close to a landmark a wrong pair (of fingers) does more harm than none; a whole limb without one does most.
+            limit = max(2 * base, 0.5) if min(ways[0][p], ways[1][q]) < CLOSE else max(4 * base, 2.0)
+            if _misfit_of(a, b, marks, (p, q)) < limit:
+                best = (float(row[j]), p, q)
         if best is None:
             return marks
         marks = np.concatenate([marks, [best[1:]]])
+
+
+def without_outliers(a: Sphered, b: Sphered, marks: Indices, given: int) -> Indices:
+    """The landmarks without those, after the first ``given``, but for which the others would fit far better."""
+    while len(marks) > max(4, given):
+        rests = [np.delete(marks, i, axis=0) for i in range(given, len(marks))]
+        misfits = [misfit(a, b, rest) for rest in rests]
+        best = int(np.argmin(misfits))
+        if misfits[best] * 3.0 > misfit(a, b, marks):
+            break
+        marks = rests[best]
+    return marks
 
 
 def stretched(a: Sphered, b: Sphered, marks: Indices, first: Floats, second: Floats) -> Floats:
@@ -268,7 +286,7 @@ def robust_moebius(a: Sphered, b: Sphered, pairs: Indices, rng: np.random.Genera
         picked = rng.choice(len(pairs), 3, replace=False)
         try:
             map_ = Moebius.through(p[picked], q[picked])
-        except ValueError:
+        except InputError:  # two of them fall together
             continue
         agreement = float(np.exp(-((map_(p) - q) ** 2).sum(1) / 0.1**2).sum())
         if agreement > most:
@@ -276,32 +294,43 @@ def robust_moebius(a: Sphered, b: Sphered, pairs: Indices, rng: np.random.Genera
     return best
 
 
-def guessed_marks(a: Sphered, b: Sphered, marks: Indices, most: int = 6) -> list[Indices]:
-    """Fewer than three landmarks, completed by pairs of tips to three: the choices on which the other tips agree best."""
+def guessed_marks(a: Sphered, b: Sphered, marks: Indices, most: int = 4) -> list[Indices]:
+    """Fewer than three landmarks, completed by pairs of tips to three: the choices whose Möbius maps have the most even factor.
+
+    A Möbius map M between the spheres makes a conformal map of the surfaces, with a factor log w = log(scale of a) + log|M'| -
+    log(scale of b) that is known at once. Its spread over a sample of points, without the quarter that fits worst, is the score.
+    """
     missing = 3 - len(marks)
     tips = []
     for side, own in ((a, marks[:, 0]), (b, marks[:, 1])):
         near = side.surface.distances(own).min(0) if len(own) else np.full(len(side.sphere), np.inf)
         kept: list[int] = []
         for v in side.tips:
-            if near[v] >= NEAR_LANDMARK and all(((side.sphere[v] - side.sphere[w]) ** 2).sum() > 0.01 for w in kept):
+            if near[v] >= NEAR_LANDMARK and all(((side.sphere[v] - side.sphere[w]) ** 2).sum() > 0.03**2 for w in kept):
                 kept.append(v)
-        tips.append(kept[:7])
-    if min(len(t) for t in tips) < missing:
+        tips.append(kept[:6])
+    choices: list[tuple[Moebius, Indices]] = []
+    for ours in itertools.combinations(tips[0][:5], missing):
+        for theirs in itertools.permutations(tips[1], missing):
+            three = np.concatenate([marks, np.array(list(zip(ours, theirs, strict=True)), np.int64)])
+            try:
+                choices.append((Moebius.through(a.sphere[three[:, 0]], b.sphere[three[:, 1]]), three))
+            except InputError:  # two of them fall together
+                continue
+    if not choices:
         return []
-    scored = []
-    chosen = tips[0][:missing]
-    for others in itertools.permutations(tips[1], missing):
-        three = np.concatenate([marks, np.stack([chosen, others], axis=1)]).astype(np.int64)
-        try:
-            map_ = Moebius.through(a.sphere[three[:, 0]], b.sphere[three[:, 1]])
-        except ValueError:
-            continue
-        moved = map_(a.sphere[tips[0]])
-        apart = ((moved[:, None] - b.sphere[tips[1]][None]) ** 2).sum(2)
-        scored.append((float(np.minimum(apart.min(1), 0.25).sum() + np.minimum(apart.min(0), 0.25).sum()), three))
-    scored.sort(key=lambda one: one[0])
-    return [three for _, three in scored[:most]]
+    sample = np.asarray(farthest_points(a.surface.points, min(200, len(a.sphere))), np.int64)
+    images = np.concatenate([moebius(a.sphere[sample]) for moebius, _ in choices])
+    found = b.log_scale[nearest_rows(b.sphere, images)].reshape(len(choices), -1)
+    scores = np.empty(len(choices))
+    for number, (moebius, _) in enumerate(choices):
+        (p, q), (r, s) = moebius.matrix
+        up, down = a.up[sample], a.down[sample]
+        change = -np.log(np.abs(p * up + q * down) ** 2 + np.abs(r * up + s * down) ** 2)
+        factor = a.log_scale[sample] + change - found[number]
+        away = np.sort(np.abs(factor - np.median(factor)))
+        scores[number] = away[: (3 * len(away)) // 4].mean()
+    return [choices[number][1] for number in np.argsort(scores, kind="stable")[:most]]
 
 
 def distinct(pairs: Indices) -> Indices:
