@@ -433,6 +433,83 @@ def sphere(options: Options) -> int:
     return DONE if found.converged else NOT_CONVERGED
 
 
+def _register_conformal_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", help="a surface (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex")
+    parser.add_argument("file", metavar="target", help="the surface to which it is matched")
+    _look(parser)
+    _output(parser)
+    parser.add_argument("--landmarks", metavar="FILE", help="pairs of vertex numbers, source and target: lines of .csv or .txt, or .npy")
+    parser.add_argument("-k", type=int, default=20, help="size of the bases (20)")
+    parser.add_argument("--refine", type=int, default=100, help="size of the basis the map is refined to; 0: not at all (100)")
+    parser.add_argument("--start", choices=("auto", "spherical", "landmarks", "register"), default="auto")
+    parser.add_argument("--orientation", choices=("preserving", "reversing", "any"), default="preserving")
+    _cloud_options(parser)
+
+
+@command("register-conformal", "the map between two shapes far from isometric, with its conformal factor", _register_conformal_options)
+def register_conformal(options: Options) -> int:
+    check_outputs(options)
+    look = _looks(options)
+    target = _distinct(options)
+    source = _distinct(argparse.Namespace(**{**vars(options), "file": options.source}))
+    found = bt.register_conformal(
+        source,
+        target,
+        landmarks=_vertex_pairs(options.landmarks),
+        k=options.k,
+        refine=options.refine or None,
+        start=options.start,
+        orientation=options.orientation,
+        progress=Bar("register conformal"),
+    )
+    table(
+        [
+            ("map", found.start),
+            ("landmarks, with those found", len(found.landmarks)),
+            ("coverage of the target", found.coverage),
+            ("there and back, over sqrt(area)", found.consistency),
+            ("log factor", f"{found.log_factor.min():.4g} to {found.log_factor.max():.4g}"),
+            ("orthonormality error", found.orthonormality_error),
+            ("objective", found.objective),
+            ("converged", found.converged),
+        ]
+    )
+    for note in found.notes:
+        print(f"note: {note}")
+    on_target = {"log_factor": found.log_factor, "inverse_map": found.inverse_map, "basis": found.basis}
+    more = {"point_map": found.point_map, "confidence": found.confidence, "source_basis": found.source_basis, "landmarks": found.landmarks}
+    for name in options.out or []:  # tables and shapes hold what belongs to the target's vertices
+        values = {**on_target, **more} if Path(name).suffix.lower() == ".npz" else on_target
+        write(argparse.Namespace(out=[name]), target, values, {"log w²": found.log_factor}, **look)
+    return DONE if found.converged else NOT_CONVERGED
+
+
+def _vertex_pairs(name: str | None) -> npt.NDArray[np.int64] | None:
+    """Rows of two vertex numbers from a file."""
+    if name is None:
+        return None
+    path = Path(name)
+    try:
+        if path.suffix.lower() == ".npy":
+            return np.asarray(np.load(path, allow_pickle=False))
+        lines = [line.replace(",", " ").split() for line in path.read_text(encoding="utf-8-sig").splitlines()]
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path} cannot be read: {error}") from None
+    rows = []
+    for number, words in enumerate(lines, 1):
+        try:
+            pair = [int(word) for word in words]
+        except ValueError:
+            if number == 1:
+                continue  # a heading
+            raise InputError(f"{path}, line {number}: {' '.join(words)!r}; two vertex numbers are needed") from None
+        if pair and len(pair) != 2:
+            raise InputError(f"{path}, line {number}: {len(pair)} numbers; two are needed, of the source and of the target")
+        if pair:
+            rows.append(pair)
+    return np.array(rows, np.int64).reshape(-1, 2)
+
+
 def _plot_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)

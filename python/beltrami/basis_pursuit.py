@@ -26,6 +26,7 @@ from .errors import Cancelled, ConvergenceError, InputError, NumericalError, Top
 from .limbs import Indices, Sphered, Surface, nearest_rows
 from .operators import Operators, operators
 from .progress import Progress, reporter
+from .register import register
 from .sampling import farthest_points
 from .shapes import Shape, TriangleMesh
 from .solvers import Cholesky, plus_diagonal
@@ -84,9 +85,9 @@ def conformal_eigenpairs(
     _surface_only(ops)
     eta = _log_factor(log_factor, len(ops.mass))
     level = float(eta.max())  # taken out, so that no exponential overflows
-    scale = np.exp(level)
-    if not np.isfinite(scale) or scale < 1e-280:
+    if not abs(level) < 600:
         raise InputError(f"log_factor reaches {level:g}; exp of it leaves the range of double precision")
+    scale = np.exp(level)
     found = eigenpairs(ops.stiffness, k, mass=np.exp(eta - level) * ops.mass, start=start, progress=progress)
     return Eigenpairs(found.values / scale, found.functions / np.sqrt(scale), found.residuals / np.sqrt(scale), found.iterations, ops.shape)
 
@@ -143,7 +144,7 @@ def match_spectrum(
     shape: Shape | Operators,
     values: npt.ArrayLike,
     *,
-    smoothness: float = 1e-4,
+    smoothness: float = 1e-6,
     tolerance: float = 1e-3,
     max_iterations: int = 40,
     progress: Progress = None,
@@ -199,48 +200,63 @@ def match_spectrum(
         raise InputError(f"the shape has {len(ops.component_masses)} components; match the spectrum of one")
     report = _reporting(progress, "match spectrum")
     k, area = len(wanted), float(ops.mass.sum())
-    mass, target = ops.mass / area, np.log(wanted[1:])
+    mass = ops.mass / area
+    more = min(4, int(np.count_nonzero(mass)) - k)  # values beyond the last: they must not come below it
+    target = np.log(np.concatenate([wanted[1:], np.full(more, wanted[-1])]))
     smooth = Cholesky(plus_diagonal(ops.stiffness, 1e-2 * mass), ops.coordinates)
     eta = np.zeros(len(mass))
     start: Floats | None = None
 
     def evaluate(eta: Floats) -> tuple[float, Floats, Floats]:
-        pairs = eigenpairs(ops.stiffness, k, mass=np.exp(eta) * mass, start=start)
+        pairs = eigenpairs(ops.stiffness, k + more, mass=np.exp(eta) * mass, start=start)
         errors = np.log(np.maximum(pairs.values[1:], 1e-300) / area) - target
+        errors[k - 1 :] = np.minimum(errors[k - 1 :], 0.0)
         value = 0.5 * float(errors @ errors) + 0.5 * weight * float(eta @ (ops.stiffness @ eta))
         return value, errors, pairs.functions
 
     value, errors, functions = evaluate(eta)
-    eta = eta + errors.mean()  # the right size first
+    eta = eta + errors[: k - 1].mean()  # the right size first
     value, errors, functions = evaluate(eta)
-    history, damping, done = [value], 1e-3, False
+    history, damping, done = [value], 1e-4, False
     for step in range(steps):
         start = functions
         done = float(np.abs(np.expm1(errors)).max()) <= tolerance
         if done:
             break
         report(step / steps)
-        rows = -(functions[:, 1:] ** 2 * (np.exp(eta) * mass)[:, None]).T  # derivatives of log λ
-        bent = smooth.solve(np.ascontiguousarray(rows.T)) / weight
-        gradient = errors - rows @ eta  # the constraint, linearized about zero
-        gram = rows @ bent
+        felt = np.flatnonzero(np.concatenate([np.ones(k - 1, bool), errors[k - 1 :] < 0]))
+        logs = errors[felt] + target[felt]
+        # Functions of values close together turn into one another: within a cluster the whole matrix of derivatives counts.
+        i, j = (np.concatenate(part) for part in zip((felt, felt), _close(logs, felt), strict=True))
+        rows = -(functions[:, 1 + i] * functions[:, 1 + j] * (np.exp(eta) * mass)[:, None]).T  # derivatives of log λ
+        asked = np.concatenate([errors[felt], np.zeros(len(i) - len(felt))])
+        bent = smooth.solve(np.ascontiguousarray(rows.T))
+        gram, at_eta = rows @ bent, rows @ eta
         moved = False
-        for _ in range(8):
-            shift = -bent @ np.linalg.solve(gram + (1 + damping) * np.eye(k - 1), gradient) - eta
-            size = float(np.abs(shift).max())
-            trial = eta + shift * min(1.0, 1.0 / max(size, 1e-300))
+        for _ in range(10):
+            stiff = weight + damping  # of the step, in the norm of the smoothing
+            multiplier = np.linalg.solve(gram / stiff + np.eye(len(gram)), asked - weight / stiff * at_eta)
+            shift = -weight / stiff * eta - bent @ multiplier / stiff
+            trial = eta + shift * min(1.0, 1.0 / max(float(np.abs(shift).max()), 1e-300))
             new = evaluate(trial)
             if new[0] < value:
-                eta, moved, damping = trial, True, damping / 4
+                eta, moved, damping = trial, True, damping / 5
                 value, errors, functions = new
                 history.append(value)
                 break
-            damping = 8 * damping + 0.1
+            damping *= 5
         if not moved:
             break
-    pairs = conformal_eigenpairs(ops, eta, k, start=functions)
+    pairs = conformal_eigenpairs(ops, eta, k, start=functions[:, :k])
     error = float(np.abs(pairs.values[1:] / wanted[1:] - 1).max())
     return SpectrumMatch(eta, pairs, wanted.copy(), error, {"objective": np.array(history)}, error <= tolerance)
+
+
+def _close(logs: Floats, numbers: Indices) -> tuple[Indices, Indices]:
+    """Pairs of numbers, each once, whose logarithms differ by less than 0.2."""
+    i, j = np.triu_indices(len(logs), 1)
+    near = np.abs(logs[i] - logs[j]) < 0.2
+    return numbers[i[near]], numbers[j[near]]
 
 
 # --- maps and their factors ---------------------------------------------------------------------------------------------------------
@@ -863,10 +879,12 @@ def _spectral_start(task: _Task) -> _Candidate:
 
 
 def _registered_start(task: _Task) -> _Candidate:
-    raise InputError(
-        "nothing fixes the map: give landmarks= (pairs of vertices) or features= (the same functions on both); "
-        "only closed surfaces of genus 0 with limbs are matched without"
-    )
+    """Near-isometric registration."""
+    marks = task.marks if len(task.marks) else None
+    r = register(task.source.operators, task.target.operators, landmarks=marks, descriptors=task.tables, rng=task.rng)
+    forward, backward = (np.asarray(x, np.int64) for x in (r.point_map, r.inverse_map))
+    task.notes.extend(f"register: {note}" for note in r.notes)
+    return _candidate("register", task.source, task.target, forward, backward, task.marks)
 
 
 def _pursuit_features(task: _Task, marks: Indices, eta: Floats) -> tuple[Floats, Floats]:

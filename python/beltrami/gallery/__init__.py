@@ -21,7 +21,7 @@ from ..errors import FileError, InputError
 
 __all__ = ["Outcome", "Sheet", "run", "section", "titles"]
 
-_MODULES = ("foundation", "spectra", "clouds", "segmentation", "sphere")
+_MODULES = ("foundation", "spectra", "clouds", "segmentation", "sphere", "conformal_registration")
 
 SECTIONS: dict[str, Callable[[Sheet], None]] = {}
 

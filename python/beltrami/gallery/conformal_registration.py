@@ -1,0 +1,117 @@
+"""Shapes that are far from isometric, matched."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+import beltrami as bt
+
+from . import Sheet, section
+
+HEADER = ("pair", "landmarks", "mean error / √area", "share below 0.05", "coverage", "orthonormality error", "map taken", "seconds")
+
+
+def _match(
+    name: str, source: bt.TriangleMesh, target: bt.TriangleMesh, count: int
+) -> tuple[bt.ConformalRegistrationResult, tuple[object, ...]]:
+    """The map from vertex i to vertex i, with so many landmarks, and a row of the table."""
+    marks = bt.farthest_points(source, count) if count else None
+    start = time.perf_counter()
+    r = bt.register_conformal(source, target, landmarks=None if marks is None else np.stack([marks, marks], axis=1))
+    seconds = time.perf_counter() - start
+    away = np.linalg.norm(target.vertices[r.point_map] - target.vertices, axis=1) / np.sqrt(target.area)
+    return r, (name, count, float(away.mean()), float((away < 0.05).mean()), r.coverage, r.orthonormality_error, r.start, seconds)
+
+
+@section("Matching shapes that are far from isometric")
+def known(sheet: Sheet) -> None:
+    sheet.text(
+        "A conformal change of the metric changes areas and keeps the stiffness matrix. So for any factor w² on the target there is a "
+        "basis that costs one eigenproblem, and with the right factor it is the source's own. `bt.register_conformal` finds the factor: "
+        "through the spherical conformal maps of both shapes, in depths and angles that no Möbius map changes, then by the "
+        "alternation of Schonsheck, Bronstein and Lai between basis and factor. The map taken is the one whose factor is smoothest."
+    )
+    spot = bt.examples.spot()
+    d = spot.vertices - (spot.vertices.mean(0) + [1.2, 1.1, 0.5])
+    square = (d**2).sum(1)
+    inverted = bt.TriangleMesh(d / square[:, None] * [1, 1, -1], spot.faces)
+    r, first = _match("Spot, inverted in a point beside it", spot, inverted, 4)
+    _, second = _match("the same, nothing given", spot, inverted, 0)
+    sheet.table(HEADER, [first, second], "The inversion x / |x|² is conformal, so that map and factor are known")
+    sheet.code(
+        "r = bt.register_conformal(source, target, landmarks=pairs)     # pairs: (k, 2), or none\n"
+        "r.point_map, r.inverse_map, r.log_factor, r.basis, r.confidence\n"
+        'r.plot("log_factor", path="factor.png")\nr.plot(source.vertices[:, 1], path="height.png")'
+    )
+    exact = 2 * np.log(square)
+    exact += np.median(r.log_factor - exact)
+    sheet.picture(
+        inverted,
+        {"log w², found": r.log_factor, "exact": exact},
+        limits=(float(exact.min()), float(exact.max())),
+        views=["right"],
+        title="Spot inverted in a point: the factor",
+        caption="What is near the point has grown. Left: found from four landmarks; right: the closed form.",
+        size=(1600, 760),
+        interactive=True,
+    )
+    height = spot.vertices[:, 1]
+    lines = list(np.linspace(height.min(), height.max(), 12)[1:-1])
+    for shape, values, title, caption in (
+        (spot, height, "A function on Spot", "Height above ground."),
+        (inverted, r.push_forward(height), "The same on the image", "Brought over by the map."),
+    ):
+        sheet.picture(shape, {"height": values}, title=title, caption=caption, contours=lines, views=["three-quarter"], size=(1600, 900))
+
+
+@section("A cortex and its sphere")
+def cortex(sheet: Sheet) -> None:
+    pial, sphere = bt.examples.cortex("pial"), bt.examples.cortex("sphere")
+    sheet.text(
+        "FreeSurfer's sphere of a cortex is no conformal image of it: it evens out areas. Five landmarks are given, and what the "
+        "conformal start leaves open the map's stretching along protrusions and its refinement in the metric of its own factor close."
+    )
+    r, row = _match("pial cortex to FreeSurfer's sphere", pial, sphere, 5)
+    sheet.table(HEADER, [row], "Truth: the vertex of the same number; straight distances")
+    factor = r.log_factor - np.median(r.log_factor)
+    span = float(np.quantile(np.abs(factor), 0.995))
+    sheet.picture(
+        sphere,
+        {"log w²": factor},
+        views=["left", "right", "top"],
+        up="z",
+        colormap="balance",
+        limits=(-span, span),
+        title="The factor with which the sphere becomes the cortex",
+        caption="Where it is high, the sphere has too little room for what is there.",
+        size=(1600, 760),
+    )
+    depth = pial.data["depth"]
+    span = float(np.abs(depth).max())
+    sheet.picture(
+        sphere,
+        {"sulcal depth through the map": r.push_forward(depth), "by the anatomy": depth},
+        views=["left"],
+        up="z",
+        colormap="balance",
+        limits=(-span, span),
+        title="Sulcal depth of the cortex on the sphere",
+        caption="Left: brought over by the map found from five landmarks. Right: the truth.",
+        size=(1600, 760),
+    )
+
+
+@section("A factor for a spectrum")
+def spectra(sheet: Sheet) -> None:
+    sheet.text(
+        "The other direction of the same idea: a conformal factor with which a shape has given eigenvalues. Here a sphere gets the first "
+        "twelve of an ellipsoid. It is one factor of many, for a spectrum does not say where things are."
+    )
+    sphere = bt.shapes.sphere(4)
+    wanted = bt.eigenpairs(bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=4), 12).values
+    r = bt.match_spectrum(sphere, wanted)
+    before = bt.eigenpairs(sphere, 12).values
+    sheet.figures({"relative error of the spectrum": r.error, "before": float(np.abs(before[1:] / wanted[1:] - 1).max())})
+    sheet.picture(sphere, {"log w²": r.log_factor}, title="A sphere with an ellipsoid's spectrum", caption="Its factor.", size=(1600, 900))
