@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from . import costs, examples, shapes
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
+from .collection import DistanceMatrix, distance_matrix
 from .committor import CommittorResult, committor, reweight, sample_density
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
@@ -52,6 +53,7 @@ __all__ = [
     "ConvergenceError",
     "DenoisingResult",
     "DependencyError",
+    "DistanceMatrix",
     "Eigenpairs",
     "Error",
     "FileError",
@@ -88,6 +90,7 @@ __all__ = [
     "contours",
     "costs",
     "denoise",
+    "distance_matrix",
     "eigenpairs",
     "evaluate_map",
     "examples",

@@ -477,70 +477,86 @@ def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: 
 
 
 @dataclass(eq=False)
-class _Embedding:
-    """Both shapes' samples in R^n by λ_k^(-d/4) φ_k, k = 1 ... n, and the alternation between couplings and rotations there."""
+class Eigenmap:
+    """A shape as a weighted point set: λ_k^(-d/4) φ_k, k = 1, 2 ..., at some farthest points, of unit area."""
 
-    source: Side
-    target: Side
-    seed: int
-    count: int = _SAMPLES
+    values: Floats
+    rows: Floats
+    masses: Floats
+    dimension: int
 
-    def points(self, side: Side, n: int) -> tuple[Floats, Floats]:
-        chosen = side.samples[: self.count]
-        masses = side.sample_masses[: self.count]
-        if self.count < len(side.samples):  # fewer samples: each stands for more
-            owner = nearest_neighbors(side.positions[chosen], side.positions, 1)[0][:, 0]
-            masses = _gathered(owner, side.mass, len(chosen))
-        smallest = side.values[side.values > 1e-9 * side.values[-1]][0]
-        return side.functions[chosen, :n] * np.maximum(side.values[:n], smallest) ** (-side.dimension / 4), masses
-
-    def align(self, starts: Floats, n: int, steps: int, tolerance: float = 1e-8, directions: int = 40) -> list[Run]:
-        """Runs from several rotations, best first."""
-        (x, a), (y, b) = self.points(self.source, n), self.points(self.target, n)
-        theta = orthonormal_directions(n, max(directions, 2 * n), rng=np.random.default_rng([self.seed, n]))
-        alignment = _core.SlicedAlignment(x, y, a, b, theta)
-        runs = alternate(alignment, [Run(np.ascontiguousarray(start)) for start in starts], steps, tolerance)
-        return sorted(runs, key=lambda run: run.value)
-
-    def lifted(self, rotation: Floats, n: int) -> list[Floats]:
-        """Rotations of order n that go on from one of a lower order: Procrustes on nearest rows, and where a singular value of
-        what is new is small, so that it could as well be the opposite, both ways."""
-        old = len(rotation)
-        (x, a), (y, _) = self.points(self.source, n), self.points(self.target, n)
-        image, _ = _core.nearest_rows(np.ascontiguousarray(y[:, :old]), x[:, :old] @ rotation)
-        left, sizes, right = np.linalg.svd((x * a[:, None]).T @ y[image])
-        ways = [left @ right]
-        if sizes[-1] < 0.2 * np.median(sizes):
-            turned = left.copy()
-            turned[:, -1] *= -1
-            ways.append(turned @ right)
-        return ways
+    def points(self, n: int) -> Floats:
+        """The first n coordinates."""
+        above = self.values[self.values > 1e-9 * self.values[-1]]
+        scale = np.maximum(self.values[:n], above[0] if len(above) else 1.0) ** (-self.dimension / 4)
+        return np.ascontiguousarray(self.rows[:, :n] * scale)
 
 
-def _rswd(source: Side, target: Side, levels: list[int], seed: int, width: int = 8) -> tuple[list[Run], list[float]]:
-    """Rotation-invariant sliced Wasserstein, coarse to fine: all signs of the first modes, then a beam. The runs of the last level,
-    best first, and the best distance of each level."""
-    embedding = _Embedding(source, target, seed, 300)
-    first = levels[0]
-    rotations = np.array([np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=first)])
+def eigenmap(side: Side, count: int, modes: int) -> Eigenmap:
+    """The eigenmap at the first `count` samples."""
+    chosen, masses = side.samples[:count], side.sample_masses
+    if len(chosen) < len(side.samples):  # fewer samples: each stands for more
+        owner = nearest_neighbors(side.positions[chosen], side.positions, 1)[0][:, 0]
+        masses = _gathered(owner, side.mass, len(chosen))
+    return Eigenmap(side.values[:modes].copy(), np.ascontiguousarray(side.functions[chosen, :modes]), masses, side.dimension)
+
+
+def _align(
+    source: Eigenmap, target: Eigenmap, starts: Floats, seed: int, steps: int, *, tolerance: float = 1e-8, directions: int = 40
+) -> list[Run]:
+    """Runs of the alternation between couplings and rotations, from several rotations, best first."""
+    n = starts.shape[1]
+    theta = orthonormal_directions(n, max(directions, 2 * n), rng=np.random.default_rng([seed, n]))
+    alignment = _core.SlicedAlignment(source.points(n), target.points(n), source.masses, target.masses, theta)
+    runs = alternate(alignment, [Run(np.ascontiguousarray(start)) for start in starts], steps, tolerance)
+    return sorted(runs, key=lambda run: run.value)
+
+
+def _lifted(source: Eigenmap, target: Eigenmap, rotation: Floats, n: int) -> list[Floats]:
+    """Rotations of order n that go on from one of a lower order: Procrustes on nearest rows, and where a singular value of
+    what is new is small, so that it could as well be the opposite, both ways."""
+    old = len(rotation)
+    x, y = source.points(n), target.points(n)
+    image, _ = _core.nearest_rows(np.ascontiguousarray(y[:, :old]), x[:, :old] @ rotation)
+    left, sizes, right = np.linalg.svd((x * source.masses[:, None]).T @ y[image])
+    ways = [left @ right]
+    if sizes[-1] < 0.2 * np.median(sizes):
+        turned = left.copy()
+        turned[:, -1] *= -1
+        ways.append(turned @ right)
+    return ways
+
+
+def align_eigenmaps(
+    source: Eigenmap, target: Eigenmap, levels: list[int], seed: int, width: int = 8, finest: tuple[Eigenmap, Eigenmap] | None = None
+) -> tuple[list[Run], list[float]]:
+    """Rotation-invariant sliced Wasserstein, coarse to fine: all signs of the first modes, then a beam. The runs of the last level
+    (between `finest` if given), best first, and the best distance of each level."""
+    rotations = np.array([np.diag(signs) for signs in itertools.product((1.0, -1.0), repeat=levels[0])])
     best: list[float] = []
     kept: list[Run] = []
     for index, n in enumerate(levels):
         if index:
-            rotations = np.array([way for rotation in rotations for way in embedding.lifted(rotation, n)])
-        if index == len(levels) - 1:
-            embedding.count = _SAMPLES
+            rotations = np.array([way for rotation in rotations for way in _lifted(source, target, rotation, n)])
+        pair = finest if finest is not None and index == len(levels) - 1 else (source, target)
         if len(rotations) > 2 * width:  # a few steps each, the better half goes on
-            runs = embedding.align(rotations, n, 4)[: 2 * width]
-            rotations = np.array([run.rotation for run in runs])
-        runs = embedding.align(rotations, n, 30)
+            rotations = np.array([run.rotation for run in _align(*pair, rotations, seed, 4)[: 2 * width]])
         kept = []
-        for run in runs:
+        for run in _align(*pair, rotations, seed, 30):
             if len(kept) < width and all((run.rotation * other.rotation).sum() < 0.98 * n for other in kept):
                 kept.append(run)
         rotations = np.array([run.rotation for run in kept])
         best.append(float(np.sqrt(kept[0].value)))
     return kept, best
+
+
+def settle(source: Eigenmap, target: Eigenmap, start: Floats, seed: int, steps: int = 6) -> tuple[Floats, float]:
+    """The alternation from a rotation, in both orders: the rotation and the distance, the less of both."""
+    there = _align(source, target, np.ascontiguousarray(start)[None], seed, steps)[0]
+    back = _align(target, source, np.ascontiguousarray(there.rotation.T)[None], seed, steps)[0]
+    if back.value < there.value:
+        return np.ascontiguousarray(back.rotation.T), float(np.sqrt(max(back.value, 0.0)))
+    return there.rotation, float(np.sqrt(max(there.value, 0.0)))
 
 
 # --- the front door -----------------------------------------------------------------------------------------------------------------
@@ -706,7 +722,12 @@ def _signature(side: Side, name: str) -> Floats:
     return np.log(np.maximum(hks(pairs, k=len(values)), 1e-6)) if name == "hks" else wks(pairs, k=len(values))
 
 
-_LEADS = (((0.25, 0.5), 1.0), ((0.25, 0.5), 0.1))  # powers of the frequency in both products, and the weight of the oriented one
+_LEADS = (
+    ((0.5, 0.75), 1.0),
+    ((0.5, 0.75), 0.3),
+    ((0.25, 0.5), 1.0),
+    ((0.25, 0.5), 0.1),
+)  # powers of the frequency in both products, and the weight of the oriented one
 
 
 def match(
@@ -748,7 +769,8 @@ def match(
 
     if method == "rswd":
         levels = [level for level in (5, 8, 12, 16, 20, 25, 30) if level <= modes] or [modes]
-        runs, distances = _rswd(source, target, levels, seed)
+        coarse, fine = ([eigenmap(side, count, levels[-1]) for side in (source, target)] for count in (300, _SAMPLES))
+        runs, distances = align_eigenmaps(coarse[0], coarse[1], levels, seed, finest=(fine[0], fine[1]))
         history["levels"], history["distance"] = np.array(levels, float), np.array(distances)
         told(0.8)
         candidates = _candidates([run.rotation for run in runs], [run.value for run in runs], products, source, target)
@@ -760,9 +782,8 @@ def match(
         positions = None
         extrinsic = False
     else:
-        maps = np.concatenate(
-            [_beam(products, top, powers, weight if oriented else 0.0, 32, 8) for powers, weight in _LEADS[: 2 if oriented else 1]]
-        )
+        leads = _LEADS if oriented else [(powers, 0.0) for powers, weight in _LEADS if weight == 1.0]
+        maps = np.concatenate([_beam(products, top, powers, weight, 32, 8) for powers, weight in leads])
         maps = maps[_distinct(maps, -np.arange(len(maps), dtype=float), len(maps), 0.98, len(maps))]
         told(0.3)
         maps = _grown(maps, upto(24, 30), source, target, 0.3)
@@ -789,9 +810,9 @@ def match(
         else:
             forward, backward = _point_maps(matrix, source, target, 0.6)
     told(0.95)
-    embedding = _Embedding(source, target, seed)
     n = min(30, modes)
-    rotation, distance = _final_rotation(embedding, matrix, n)
+    start = _core.polar(np.ascontiguousarray(matrix[:n, :n]))
+    rotation, distance = settle(eigenmap(source, _SAMPLES, n), eigenmap(target, _SAMPLES, n), start, seed)
     if not oriented:
         notes.append("no orientation: left and right cannot be told apart" + _twins(candidates))
     moved = source.positions[backward[forward]] - source.positions
@@ -823,17 +844,6 @@ def _with_constant(matrix: Floats) -> Floats:
     whole[0, 0] = 1.0
     whole[1:, 1:] = matrix
     return whole
-
-
-def _final_rotation(embedding: _Embedding, matrix: Floats, n: int) -> tuple[Floats, float]:
-    """The alternation from the map that was found, in both orders; the less of both."""
-    start = _core.polar(np.ascontiguousarray(matrix[:n, :n]))
-    there = embedding.align(start[None], n, 6)[0]
-    swapped = _Embedding(embedding.target, embedding.source, embedding.seed, embedding.count)
-    back = swapped.align(np.ascontiguousarray(there.rotation.T)[None], n, 6)[0]
-    if back.value < there.value:
-        return np.ascontiguousarray(back.rotation.T), float(np.sqrt(max(back.value, 0.0)))
-    return there.rotation, float(np.sqrt(max(there.value, 0.0)))
 
 
 def register(

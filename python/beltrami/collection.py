@@ -1,0 +1,512 @@
+"""Distances between all pairs of a collection: on one machine or on a cluster, resumable, the same bits everywhere.
+
+The work is cut into tasks: one a shape (its eigenmap or spectrum, kept on disk), then one a tile of pairs. Any executor with
+``submit`` runs them: ``concurrent.futures``, ``dask.distributed.Client``, ``mpi4py.futures``, ``loky``. Finished tasks are files; a run
+that was killed goes on where it was. A shape that cannot be read is a row of the report.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from . import arrays
+from .arrays import Floats
+from .errors import Cancelled, DependencyError, InputError
+from .files import load
+from .progress import Progress, reporter
+from .register import Eigenmap, align_eigenmaps, eigenmap, prepare, settle
+from .shapes import PointCloud, Shape, TriangleMesh
+from .threads import set_num_threads
+
+__all__ = ["DistanceMatrix", "distance_matrix"]
+
+Member = Shape | str | os.PathLike[str]
+Method = Literal["rswd", "shape_dna"] | Callable[[Shape, Shape], float]
+
+_LEVELS = [5, 8, 12, 16, 20]  # modes that eigenmaps are compared by, coarse to fine
+_POINTS = 300
+_WINDOW = 64  # tasks handed out before the first of them is waited for
+_VERSION = "1"  # of what is kept on disk
+
+
+class _Executor(Protocol):
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any: ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DistanceMatrix:
+    """Distances between all shapes of a collection. Made by :func:`distance_matrix`; NumPy takes it for its matrix.
+
+    Attributes
+    ----------
+    matrix : (k, k) array
+        Symmetric, 0 on the diagonal; ``inf`` in the rows of shapes that failed.
+    failures : dict of int to str
+        What was wrong with which shape, or, for a pair that failed, under the first of the two.
+    labels : tuple of str
+        Names of the shapes.
+    method : str
+    """
+
+    matrix: Floats
+    failures: dict[int, str]
+    labels: tuple[str, ...]
+    method: str
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        return np.array(self.matrix, dtype=dtype) if copy is not False else np.asarray(self.matrix, dtype=dtype)
+
+    def __getitem__(self, key: Any) -> Any:
+        return self.matrix[key]
+
+    def __len__(self) -> int:
+        return len(self.matrix)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(k, k)"""
+        return (len(self.matrix), len(self.matrix))
+
+    def __repr__(self) -> str:
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return f"DistanceMatrix({len(self.matrix)} shapes by {self.method}{failed})"
+
+    @property
+    def _good(self) -> npt.NDArray[np.int64]:
+        """Shapes with all distances to one another: those that have the most gaps are left out one by one."""
+        keep = np.ones(len(self.matrix), bool)
+        while True:
+            gaps = (~np.isfinite(self.matrix[np.ix_(keep, keep)])).sum(1)
+            if not gaps.any():
+                return np.flatnonzero(keep)
+            keep[np.flatnonzero(keep)[gaps.argmax()]] = False
+
+    def nearest(self, k: int = 1) -> npt.NDArray[np.int64]:
+        """The k nearest other shapes of each, (k_shapes, k); -1 where there are not as many.
+
+        Examples
+        --------
+        >>> import beltrami as bt
+        >>> shapes = [bt.shapes.sphere(2), bt.shapes.ellipsoid(level=2), bt.shapes.sphere(2, frequency=5)]
+        >>> bt.distance_matrix(shapes, method="shape_dna").nearest()[:, 0].tolist()
+        [2, 2, 0]
+        """
+        k = arrays.whole(k, "k", 1)
+        others = self.matrix + np.where(np.eye(len(self.matrix), dtype=bool), np.inf, 0.0)
+        order = np.argsort(others, axis=1, kind="stable")[:, :k].astype(np.int64)
+        order[~np.isfinite(np.take_along_axis(others, order, 1))] = -1
+        return order
+
+    def embed(self, dimension: int = 2) -> Floats:
+        """Points of R^dimension whose distances are close to the matrix: classical multidimensional scaling, (k, dimension).
+
+        Shapes that failed are put at the origin. Signs: the entry of largest size of each column is positive.
+
+        Raises
+        ------
+        InputError
+            There are fewer than two shapes.
+
+        Examples
+        --------
+        >>> import numpy as np, beltrami as bt
+        >>> shapes = [bt.shapes.ellipsoid(1.0, 1.0, c, level=2) for c in (1.0, 1.5, 2.0)]
+        >>> bt.distance_matrix(shapes, method="shape_dna").embed(1).shape
+        (3, 1)
+        """
+        dimension = arrays.whole(dimension, "dimension", 1)
+        good = self._good
+        if len(good) < 2:
+            raise InputError(f"{len(good)} shapes have distances to one another; two at least are needed")
+        squares = self.matrix[np.ix_(good, good)] ** 2
+        centred = -0.5 * (squares - squares.mean(0) - squares.mean(1)[:, None] + squares.mean())
+        values, vectors = np.linalg.eigh(centred)
+        count = min(dimension, len(good))
+        values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
+        largest = vectors[np.abs(vectors).argmax(0), np.arange(count)]
+        places = np.zeros((len(self.matrix), dimension))
+        places[good, :count] = vectors * np.sign(largest) * np.sqrt(np.maximum(values, 0.0))
+        return places
+
+    def plot(
+        self,
+        kind: Literal["map", "matrix", "dendrogram", "nearest"] = "map",
+        *,
+        path: str | os.PathLike[str] | None = None,
+        classes: Sequence[Any] | None = None,
+    ) -> Any:
+        """A picture with matplotlib (an extra): returns its figure, and writes it if ``path`` is given.
+
+        Parameters
+        ----------
+        kind : {"map", "matrix", "dendrogram", "nearest"}
+            The embedding into the plane; the matrix; a tree by average linkage; the embedding with arrows to nearest neighbours.
+        path : path, optional
+        classes : sequence, optional
+            One a shape: its colour.
+
+        Raises
+        ------
+        InputError
+            ``kind`` is not known, or there are not as many classes as shapes.
+        DependencyError
+            matplotlib is missing.
+        """
+        if kind not in ("map", "matrix", "dendrogram", "nearest"):
+            raise InputError(f"kind is {kind!r}; choose 'map', 'matrix', 'dendrogram' or 'nearest'")
+        if classes is not None and len(classes) != len(self.matrix):
+            raise InputError(f"{len(classes)} classes for {len(self.matrix)} shapes")
+        try:
+            from matplotlib.backends.backend_agg import FigureCanvasAgg
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise DependencyError("matplotlib is missing; pip install 'beltrami[plot]'") from None
+        figure = Figure(figsize=(7, 6), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        good = self._good
+        if kind == "matrix":
+            image = axes.imshow(np.where(np.isfinite(self.matrix), self.matrix, np.nan), cmap="viridis")
+            figure.colorbar(image, ax=axes, label="distance")
+            axes.set_xticks(range(len(self.labels)), self.labels, rotation=90, fontsize=8)
+            axes.set_yticks(range(len(self.labels)), self.labels, fontsize=8)
+        elif kind == "dendrogram":
+            from scipy.cluster.hierarchy import dendrogram, linkage
+            from scipy.spatial.distance import squareform
+
+            tree = linkage(squareform(self.matrix[np.ix_(good, good)], checks=False), "average")
+            dendrogram(tree, labels=[self.labels[index] for index in good], orientation="left", ax=axes)
+            axes.set_xlabel("distance")
+        else:
+            places = self.embed(2)
+            names, numbers = np.unique([str(c) for c in classes] if classes is not None else [""] * len(self), return_inverse=True)
+            for number, name in enumerate(names):
+                chosen = good[numbers[good] == number]
+                axes.scatter(places[chosen, 0], places[chosen, 1], s=50, label=name or None, zorder=2)
+            for index in good:
+                axes.annotate(self.labels[index], places[index], xytext=(4, 4), textcoords="offset points", fontsize=8)
+            if kind == "nearest":
+                for index in good:
+                    near = int(self.nearest()[index, 0])
+                    if near >= 0:
+                        arrow = {"arrowstyle": "->", "color": "0.6", "shrinkA": 4, "shrinkB": 4}
+                        axes.annotate("", places[near], xytext=places[index], arrowprops=arrow, zorder=1)
+            if classes is not None:
+                axes.legend(frameon=False)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set_xticks([])
+            axes.set_yticks([])
+        if path is not None:
+            figure.savefig(path, dpi=150)
+        return figure
+
+
+# --- tasks: module-level functions of plain arguments, so that any executor can carry them -----------------------------------------
+
+
+def _limit(parent: int, threads: int) -> None:
+    """In a worker process: how many threads a task may take. Results do not depend on it."""
+    if os.getpid() != parent:
+        set_num_threads(threads)
+
+
+def _read(member: Member) -> Shape:
+    return member if isinstance(member, TriangleMesh | PointCloud) else load(os.fspath(member))
+
+
+def _describe_shape(member: Member, modes: int, parent: int, threads: int) -> tuple[dict[str, Any] | None, str]:
+    """The eigenmap of one shape as plain arrays, or what is wrong with it."""
+    _limit(parent, threads)
+    try:
+        side = prepare(_read(member), modes=modes, samples=_POINTS, extrinsic=False)
+        if side.modes < _LEVELS[0]:
+            return None, f"the shape has {side.modes} eigenfunctions; {_LEVELS[0]} are needed"
+        found = eigenmap(side, _POINTS, modes)
+        return {"values": found.values, "rows": found.rows, "masses": found.masses, "dimension": np.array(found.dimension)}, ""
+    except Exception as error:  # belongs to the report: one bad shape is not the end of the run
+        return None, f"{type(error).__name__}: {error}"
+
+
+def _eigenmap(parts: dict[str, Any]) -> Eigenmap:
+    return Eigenmap(parts["values"], parts["rows"], parts["masses"], int(parts["dimension"]))
+
+
+def _rswd_distance(first: Eigenmap, second: Eigenmap, seed: int) -> float:
+    """The rotation-invariant sliced Wasserstein distance of two eigenmaps. Which of the two is turned does not depend on their order."""
+    if first.dimension != second.dimension:
+        raise InputError(f"intrinsic dimensions {first.dimension} and {second.dimension} cannot be compared")
+    a, b = sorted((first, second), key=lambda one: (one.values.tolist(), one.masses.tolist()))
+    modes = min(len(a.values), len(b.values))
+    levels = [level for level in _LEVELS if level <= modes]
+    runs, _ = align_eigenmaps(a, b, levels, seed, width=4)
+    return settle(a, b, runs[0].rotation, seed)[1]
+
+
+def _measure(
+    method: Method, pairs: list[tuple[int, int]], members: dict[int, Any], seed: int, parent: int, threads: int
+) -> list[tuple[float, str]]:
+    """The distances of a tile's pairs, each a number and what went wrong."""
+    _limit(parent, threads)
+    return [_pair(method, members[i], members[j], seed) for i, j in pairs]
+
+
+def _pair(method: Method, first: Any, second: Any, seed: int) -> tuple[float, str]:
+    try:
+        if method == "rswd":
+            value = _rswd_distance(_eigenmap(first), _eigenmap(second), seed)
+        elif callable(method):
+            value = float(method(_read(first), _read(second)))
+        else:
+            a, b = first["values"], second["values"]
+            count = min(len(a), len(b))
+            value = float(np.linalg.norm(a[:count] - b[:count]))
+        if not np.isfinite(value):
+            raise InputError(f"the distance is {value}")
+    except Exception as error:  # belongs to the report
+        return np.inf, f"{type(error).__name__}: {error}"
+    return value, ""
+
+
+# --- what is kept on disk -----------------------------------------------------------------------------------------------------------
+
+
+def _fingerprint(member: Member) -> str:
+    """Of what a shape is: its numbers, or its file's bytes. The path where the file cannot be read."""
+    digest = hashlib.sha256()
+    if isinstance(member, TriangleMesh):
+        digest.update(b"mesh" + member.vertices.tobytes() + member.faces.tobytes() + str(member.vertices.shape).encode())
+    elif isinstance(member, PointCloud):
+        digest.update(b"cloud" + member.points.tobytes() + str((member.points.shape, member.dimension)).encode())
+        digest.update(b"" if member.weights is None else member.weights.tobytes())
+    else:
+        try:
+            digest.update(Path(member).read_bytes())
+        except OSError:
+            digest.update(os.fspath(member).encode())
+    return digest.hexdigest()
+
+
+def _store(path: Path, content: dict[str, Any]) -> None:
+    """Writes arrays so that a kill leaves either the whole file or none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_suffix(f".{os.getpid()}.part")
+    with draft.open("wb") as file:
+        np.savez(file, **content)
+    os.replace(draft, path)
+
+
+def _recall(path: Path | None) -> dict[str, Any] | None:
+    """What was stored, or None where there is nothing or it cannot be read."""
+    if path is None or not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            return {name: content[name] for name in content.files}
+    except Exception:  # a broken file is made again
+        return None
+
+
+class _Local:
+    """Runs a task when its result is asked for."""
+
+    class Future:
+        def __init__(self, call: Callable[[], Any]) -> None:
+            self.result = call
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future:
+        return self.Future(lambda: fn(*args, **kwargs))
+
+
+def _run(executor: _Executor, tasks: Iterator[tuple[Any, tuple[Any, ...]]]) -> Iterator[tuple[Any, Any]]:
+    """Results of ``(key, (function, *arguments))`` in order, a window of tasks at work at any time."""
+    waiting: deque[tuple[Any, Any]] = deque()
+    try:
+        for key, (function, *arguments) in tasks:
+            waiting.append((key, executor.submit(function, *arguments)))
+            if len(waiting) >= (1 if isinstance(executor, _Local) else _WINDOW):
+                first, future = waiting.popleft()
+                yield first, future.result()
+        while waiting:
+            first, future = waiting.popleft()
+            yield first, future.result()
+    finally:
+        for _, future in waiting:
+            if hasattr(future, "cancel"):
+                future.cancel()
+
+
+def _tiles(count: int) -> Iterator[list[tuple[int, int]]]:
+    """Pairs i < j, in blocks that need few shapes each."""
+    side = max(1, min(16, count // 8))
+    for top in range(0, count, side):
+        for left in range(top, count, side):
+            pairs = [(i, j) for i in range(top, min(top + side, count)) for j in range(max(left, i + 1), min(left + side, count))]
+            if pairs:
+                yield pairs
+
+
+def _name(member: Member, index: int) -> str:
+    return str(index) if isinstance(member, TriangleMesh | PointCloud) else Path(member).stem
+
+
+def distance_matrix(
+    shapes: Sequence[Member],
+    *,
+    method: Method = "rswd",
+    executor: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    labels: Sequence[str] | None = None,
+    threads: int = 1,
+    rng: int | None = None,
+    progress: Progress = None,
+) -> DistanceMatrix:
+    """Distances between all pairs of shapes, of any number of points each.
+
+    Parameters
+    ----------
+    shapes : sequence of TriangleMesh, PointCloud or path
+        Files are read where the work is done.
+    method : {"rswd", "shape_dna"} or callable
+        ``"rswd"``: the rotation-invariant sliced Wasserstein distance of the eigenmaps ``λ_k^(-d/4) φ_k`` of unit area, k up to 20, at 300
+        farthest points: no bending and no mirror changes it. ``"shape_dna"``: Euclidean distance of the first 50 eigenvalues times
+        area; quicker, but not all shapes differ in it. Or ``method(first, second)``, a function of two shapes that the executor can carry.
+    executor : object with ``submit(fn, *args)``, optional
+        ``concurrent.futures``, ``dask.distributed.Client``, ``mpi4py.futures.MPIPoolExecutor``, ``loky``. None: here and now.
+    checkpoint : path, optional
+        A folder for what is done. A call with the same shapes and options reads it and does the rest only. A callable is known by
+        its module and name: clear the folder when you change it.
+    cache : path, optional
+        A folder for eigenmaps, to be shared between collections; in the checkpoint if left out.
+    labels : sequence of str, optional
+        Names; those of the files, or numbers.
+    threads : int
+        How many each task may use in a worker process.
+    rng : int, optional
+        Seed of the directions; None is 0.
+    progress : callable or True, optional
+        Called with the share of work done; returning False stops with :class:`Cancelled`, and what is done stays in the checkpoint.
+
+    Returns
+    -------
+    DistanceMatrix
+        ``np.asarray`` of it is the (k, k) array. Each pair's distance depends on these two shapes alone: not on the others, on their
+        order, on the executor or the number of threads.
+
+    Raises
+    ------
+    InputError
+        Options do not fit. A shape that cannot be used is no error: it is in ``failures``, and its distances are ``inf``.
+    Cancelled
+        If ``progress`` returned False.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> shapes = [bt.shapes.ellipsoid(1.0, 0.8, c, level=2) for c in (0.5, 0.52, 1.5)]
+    >>> found = bt.distance_matrix(shapes)
+    >>> bool(found[0, 1] < found[0, 2]), np.asarray(found).shape
+    (True, (3, 3))
+    """
+    members = list(shapes)
+    count = len(members)
+    for index, member in enumerate(members):
+        if not isinstance(member, TriangleMesh | PointCloud | str | os.PathLike):
+            raise InputError(f"shapes[{index}] is a {type(member).__name__}; a TriangleMesh, a PointCloud or a path is needed")
+    if not callable(method) and method not in ("rswd", "shape_dna"):
+        raise InputError(f"method is {method!r}; choose 'rswd' or 'shape_dna', or give a function of two shapes")
+    if executor is not None and not hasattr(executor, "submit"):
+        raise InputError(f"executor is a {type(executor).__name__}; an object with submit(fn, *args) is needed")
+    names = tuple(str(label) for label in labels) if labels is not None else tuple(_name(m, i) for i, m in enumerate(members))
+    if len(names) != count:
+        raise InputError(f"{len(names)} labels for {count} shapes")
+    threads, seed = arrays.whole(threads, "threads", 1), 0 if rng is None else arrays.whole(rng, "rng", 0)
+    report = reporter(progress, "distances")
+    runner: _Executor = _Local() if executor is None else executor
+    parent = os.getpid()
+    known = method if isinstance(method, str) else f"{method.__module__}.{getattr(method, '__qualname__', type(method).__name__)}"
+    modes = 50 if method == "shape_dna" else _LEVELS[-1]
+    folder = None if checkpoint is None else Path(checkpoint)
+    shelf = Path(cache) if cache is not None else None if folder is None else folder / "eigenmaps"
+    prints = [_fingerprint(member) for member in members] if folder is not None or shelf is not None else [""] * count
+    tiles = list(_tiles(count))
+    described = 0 if callable(method) else count
+    total, done = described + len(tiles), 0
+
+    def told() -> None:
+        nonlocal done
+        done += 1
+        if report is not None and report(done / max(total, 1)) is False:
+            raise Cancelled("stopped on request before the work was done")
+
+    failures: dict[int, str] = {}
+    parts: dict[int, Any] = {}
+    if callable(method):
+        parts = dict(enumerate(members))
+    else:
+        places = {i: None if shelf is None else shelf / f"{prints[i]}-{modes}-{_POINTS}-{_VERSION}.npz" for i in range(count)}
+
+        def missing() -> Iterator[tuple[int, tuple[Any, ...]]]:
+            for index, member in enumerate(members):
+                kept = _recall(places[index])
+                if kept is None:
+                    yield index, (_describe_shape, member, modes, parent, threads)
+                else:
+                    parts[index] = kept
+                    told()
+
+        for index, (found, wrong) in _run(runner, missing()):
+            if found is None:
+                failures[index] = wrong
+            else:
+                parts[index] = found
+                place = places[index]
+                if place is not None:
+                    _store(place, found)
+            told()
+    matrix = np.zeros((count, count))
+
+    def enter(pairs: list[tuple[int, int]], values: list[tuple[float, str]]) -> None:
+        for (i, j), (value, wrong) in zip(pairs, values, strict=True):
+            matrix[i, j] = matrix[j, i] = value
+            if wrong:
+                failures.setdefault(i, f"with {names[j]}: {wrong}")
+
+    def place_of(pairs: list[tuple[int, int]]) -> Path | None:
+        if folder is None:
+            return None
+        key = "|".join([known, str(seed), str(modes), str(_POINTS), _VERSION, *(f"{prints[i]},{prints[j]}" for i, j in pairs)])
+        return folder / "tiles" / f"{hashlib.sha256(key.encode()).hexdigest()}.npz"
+
+    def undone() -> Iterator[tuple[list[tuple[int, int]], tuple[Any, ...]]]:
+        for tile in tiles:
+            pairs = [(i, j) for i, j in tile if i in parts and j in parts]
+            kept = _recall(place_of(pairs))
+            if kept is not None and len(kept["values"]) == len(pairs):
+                enter(pairs, [(float(value), "") for value in kept["values"]])
+                told()
+            elif pairs:
+                needed = {index: parts[index] for index in sorted({index for pair in pairs for index in pair})}
+                yield pairs, (_measure, method, pairs, needed, seed, parent, threads)
+            else:
+                told()
+
+    for pairs, values in _run(runner, undone()):
+        enter(pairs, values)
+        place = place_of(pairs)
+        if place is not None and not any(wrong for _, wrong in values):
+            _store(place, {"values": np.array([value for value, _ in values])})
+        told()
+    for index in set(range(count)) - set(parts):
+        matrix[index] = matrix[:, index] = np.inf
+        matrix[index, index] = 0.0
+    return DistanceMatrix(matrix, dict(sorted(failures.items())), names, known)
