@@ -9,6 +9,7 @@ from . import costs, examples, shapes
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
 from .collection import DistanceMatrix, distance_matrix
 from .committor import CommittorResult, committor, reweight, sample_density
+from .barycenter import BarycenterResult, wasserstein_barycenter
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
@@ -45,6 +46,7 @@ from .view import Page, Picture, plot
 __version__ = "0.1.0"
 
 __all__ = [
+    "BarycenterResult",
     "Cancelled",
     "Cholesky",
     "ClosestPointsResult",
@@ -127,5 +129,6 @@ __all__ = [
     "spherical_map",
     "transfer",
     "transport",
+    "wasserstein_barycenter",
     "wks",
 ]

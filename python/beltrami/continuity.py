@@ -111,6 +111,7 @@ class Problem:
     running: Cost | None = None
     terminal: Cost | None = None
     memory: float = MEMORY
+    scale: float | None = None  # density where the mass is, if several problems shall share it
 
     @cached_property
     def masses(self) -> Floats:
@@ -124,6 +125,8 @@ class Problem:
     @property
     def concentration(self) -> float:
         """Density where the mass is."""
+        if self.scale is not None:
+            return self.scale
         ends = [self.start] if self.end is None else [self.start, self.end]
         return float(np.mean([self.surface.mass @ np.square(end / self.mass) for end in ends])) * self.mass
 
@@ -307,9 +310,9 @@ class Model:
             np.minimum.at(least, self.surface.labels[there], height[there])
         return float(self.masses[0] @ np.where(np.isfinite(least), least, 0.0))
 
-    def linear_bound(self, potential: Floats, density: Floats) -> tuple[float, Floats]:
-        """The bound of the game in which everybody takes the costs at ``density`` as given, and the potential that proves it."""
-        limit, last = self.slopes(density)
+    def linear_bound(self, potential: Floats, limit: Floats, last: Floats | None) -> tuple[float, Floats]:
+        """The least cost for players who pay ``limit`` at each inner slice and ``last`` at the end, from below, and the potential that
+        proves it."""
         best, proof = -np.inf, potential
         candidates = np.empty((len(REPAIRS) * self.n, self.surface.count))
         for backward in (False, True):
@@ -389,7 +392,7 @@ class Model:
     def bound(self, potential: Floats, density: Floats) -> tuple[float, Floats]:
         """A lower bound of the objective, and the potential that proves it: costs are convex, so they lie above their tangents at
         ``density``; or, where they are superlinear, by their conjugates."""
-        best, proof = self.linear_bound(potential, density)
+        best, proof = self.linear_bound(potential, *self.slopes(density))
         if self.running is None and self.last is None:
             return best, proof
         best += self.standing(density) - self.tangent(density)
@@ -405,7 +408,7 @@ class Model:
 
     def gain(self, density: Floats, momentum: Floats, potentials: list[Floats]) -> float:
         """What players could gain at most, all together, by other paths while the costs stay what they are at ``density``."""
-        linear = max(self.linear_bound(np.ascontiguousarray(potential), density)[0] for potential in potentials)
+        linear = max(self.linear_bound(np.ascontiguousarray(potential), *self.slopes(density))[0] for potential in potentials)
         return self.kinetic(density, momentum) + self.tangent(density) - linear
 
     def start_standing(self) -> float:

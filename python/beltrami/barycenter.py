@@ -1,0 +1,281 @@
+"""Barycenters of densities in the Wasserstein distance, by dynamic transports that end in a common density."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import arrays
+from .arrays import Floats
+from .continuity import COARSE, PEAKED, Model, Problem, Splitting, Surface, looks, travel
+from .costs import Lagrangian
+from .errors import InputError
+from .operators import Operators
+from .progress import Progress
+from .segment import _Watch, _write
+from .shapes import Shape
+from .transport import balanced, density_in, options_in
+from .view import Page, Picture
+
+__all__ = ["BarycenterResult", "wasserstein_barycenter"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BarycenterResult:
+    """The density with the least mean squared Wasserstein distance from some others, and how far from the least it can be at most.
+
+    Attributes
+    ----------
+    shape : TriangleMesh or PointCloud
+    density : ndarray (n,)
+        Per unit area; not negative.
+    weights : ndarray (k,)
+        They add up to 1.
+    cost, lower_bound, gap : float
+        ``½ Σ w_i W2²`` of the paths that were found, what no density can go below, and the relative distance of the two.
+    distances : ndarray (k,)
+        Length of the path from each density to the barycenter.
+    paths : ndarray (k, intervals + 1, n)
+        Densities on the way from each to the barycenter.
+    iterations : int
+    converged : bool
+    history : dict of str to ndarray
+        ``iteration``, ``cost``, ``lower_bound``, ``gap``.
+    """
+
+    shape: Shape
+    density: Floats
+    weights: Floats
+    cost: float
+    lower_bound: float
+    gap: float
+    distances: Floats
+    paths: Floats
+    iterations: int
+    converged: bool
+    history: dict[str, npt.NDArray[Any]]
+
+    def __repr__(self) -> str:
+        state = "" if self.converged else ", NOT CONVERGED"
+        return f"BarycenterResult({len(self.weights)} densities, gap {self.gap:.1e} after {self.iterations} iterations{state})"
+
+    def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints the densities and, last, their barycenter; the options are those of :func:`beltrami.plot`."""
+        from .view import plot
+
+        fields = {f"density {k}, weight {w:.3g}": p[0] for k, (w, p) in enumerate(zip(self.weights, self.paths, strict=True))}
+        return plot(self.shape, {**fields, "barycenter": self.density}, path=path, **options)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``, a picture to ``.png`` or ``.html``."""
+        path = Path(path)
+        if path.suffix.lower() in (".png", ".html"):
+            self.plot(path=path)
+        elif path.suffix.lower() == ".npz":
+            kept = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | float | int)}
+            _write(path, lambda stream: np.savez_compressed(stream, **kept))
+        else:
+            raise InputError(f"{path}: a barycenter is written to .npz, .png or .html")
+        return path
+
+
+class _Joint:
+    """Splittings side by side whose last slices are one density."""
+
+    def __init__(self, models: list[Model], start: _Joint | None = None) -> None:
+        self.models = models
+        self.runs = [Splitting(model, start=None if start is None else start.runs[i]) for i, model in enumerate(models)]
+
+    def iterate(self) -> None:
+        duals, ends = [], []
+        for run in self.runs:
+            scale = run.sigma * run.kappa
+            v = run.dual_vertex[1:] + scale * run.advance()
+            dual = np.minimum(v, 0.0)  # ρ >= 0 inside
+            duals.append(dual)
+            ends.append(v[-1] / scale[-1])
+        common = np.maximum(np.mean(ends, axis=0), 0.0)
+        for run, dual, end in zip(self.runs, duals, ends, strict=True):
+            scale = float(run.sigma * run.kappa[-1, 0])
+            dual[-1] = scale * (end - common)
+            run.finish(dual)
+
+    def bound(self) -> float:
+        """Paths that pay g_i at their end cost at least L_i; where the g_i add up to zero, Σ L_i is a bound for those that end together."""
+        models = self.models
+        potentials = [run.psi / run.tau for run in self.runs]
+        ends = []
+        for model, phi in zip(models, potentials, strict=True):
+            ends.append(phi[-1] - model.hamiltonian(phi)[-1] / (2 * model.n))
+        mean = np.mean(ends, axis=0)
+        total = 0.0
+        for model, phi, end in zip(models, potentials, ends, strict=True):
+            total += model.linear_bound(np.ascontiguousarray(phi), np.zeros_like(phi), mean - end)[0]
+        return total
+
+    def paths(self) -> tuple[float, list[float], list[Floats]]:
+        """Paths that end together: their cost, the cost of each, and their densities."""
+        surface, models = self.models[0].surface, self.models
+        typical = float(models[0].masses.sum())
+        common = np.maximum(np.mean([run.density[-1] for run in self.runs], axis=0), 0.0) + 1e-6 * typical
+        common = surface.with_mass(common[None], models[0].masses)[0]
+        values, found = [], []
+        for model, run in zip(models, self.runs, strict=True):
+            t = np.linspace(0, 1, model.n + 1)[:, None]
+            best, kept = np.inf, run.density
+            for path in model.paths(run.density + t * (common - run.density[-1])):
+                path[-1] = common
+                momentum = model.corrected(path, run.momentum)
+                value = min(model.kinetic(path, momentum), model.kinetic(path, model.optimal(path, run.psi / run.tau)))
+                if value < best:
+                    best, kept = value, path
+            values.append(best)
+            found.append(kept)
+        return float(sum(values)), values, found
+
+
+def wasserstein_barycenter(
+    shape: Shape | Operators,
+    densities: Sequence[npt.ArrayLike] | npt.ArrayLike,
+    *,
+    weights: npt.ArrayLike | None = None,
+    intervals: int = 16,
+    normalize: bool = False,
+    tolerance: float = 2e-3,
+    max_iterations: int = 300,
+    memory: float | None = None,
+    progress: Progress = None,
+) -> BarycenterResult:
+    """The Wasserstein barycenter [1]_ of densities on a surface: the least ``Σ w_i W2²(ρ_i, ρ)``.
+
+    A dynamic transport leads from each density to a common end, which is free: the same iteration as :func:`transport`, with one step
+    more, the mean of the ends. For two densities it is McCann's interpolation, ``transport(...).interpolate(w_1)``, to rounding of
+    time and tolerance.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+    densities : array_like (k, n)
+        Per unit area, not negative, of equal mass on each component.
+    weights : array_like (k,), optional
+        Positive; equal by default. They are divided by their sum.
+    intervals : int
+        Of each path.
+    normalize : bool
+        Rescale all to the mass of the first.
+    tolerance : float
+        Relative gap to stop at.
+    max_iterations : int
+    memory : float, optional
+        As for :func:`transport`, for each density.
+    progress : bool or callable, optional
+
+    Returns
+    -------
+    BarycenterResult
+        With ``converged=False`` if the gap was not reached.
+
+    Raises
+    ------
+    InputError
+        As :func:`transport`; there are no densities, or a weight is not positive.
+
+    References
+    ----------
+    .. [1] M. Agueh, G. Carlier, Barycenters in the Wasserstein space, 2011.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> sphere = bt.shapes.sphere(2)
+    >>> corners = [np.exp(4 * sphere.vertices @ axis) + 0.1 for axis in np.eye(3)]
+    >>> r = bt.wasserstein_barycenter(sphere, corners, intervals=4, normalize=True)
+    >>> r.converged, bool((sphere.vertices[r.density.argmax()] > 0.4).all())
+    (True, True)
+    """
+    surface = Surface(shape)
+    wished, most, limit = options_in("primal_dual", tolerance, max_iterations, memory)
+    count = len(densities) if np.ndim(densities) != 0 else 0
+    if count == 0:
+        raise InputError("densities is empty; give at least one")
+    names = [f"densities[{k}]" for k in range(count)]
+    given = [density_in(surface, density, name) for density, name in zip(densities, names, strict=True)]  # type: ignore[arg-type]
+    given = balanced(surface, given, names, normalize)
+    share = np.ones(count) if weights is None else arrays.floats(weights, "weights", (count,))
+    if share.min() <= 0:
+        where = int(np.argmin(share))
+        raise InputError(f"weights[{where}] is {share[where]:g}; weights must be positive, so leave densities of weight 0 out")
+    share = share / share.sum()
+    n = arrays.whole(intervals, "intervals", 1)
+    same = max(float(np.abs(density - given[0]).max()) for density in given) <= 1e-14 * float(given[0].max())
+    if same:
+        none: dict[str, npt.NDArray[Any]] = {name: np.zeros(1) for name in ("iteration", "cost", "lower_bound", "gap")}
+        paths = np.repeat(np.repeat(given[0][None, None], n + 1, axis=1), count, axis=0)
+        return BarycenterResult(surface.operators.shape, given[0].copy(), share, 0.0, 0.0, 0.0, np.zeros(count), paths, 0, True, none)
+    middle = np.tensordot(share, np.stack(given), 1)
+    scale = float(np.mean([Problem(surface, density, None, n).concentration for density in given]))
+    unit = max(travel(Problem(surface, density, middle, n, memory=limit)) for density in given)
+
+    def models(intervals: int) -> list[Model]:
+        made = []
+        for density, weight in zip(given, share, strict=True):
+            problem = Problem(surface, density, None, intervals, Lagrangian(2.0, float(weight * count)), memory=limit, scale=scale)
+            made.append(Model(problem, intervals, unit))
+            if len(made) > 1:
+                made[-1].projection = made[0].projection  # the same equation
+        return made
+
+    watch = _Watch(progress, "barycenter", wished)
+    joint: _Joint | None = None
+    if scale > PEAKED * surface.mass @ given[0]:
+        for coarse in (4, 8, 16):
+            if 2 * coarse > n:
+                break
+            joint = _Joint(models(coarse), joint)
+            for _ in range(COARSE):
+                joint.iterate()
+    joint = _Joint(models(n), joint)
+    stops, history = set(looks(most)), []
+    upper, lower, gap = np.inf, -np.inf, np.inf
+    each: list[float] = []
+    best: list[Floats] = []
+    iteration = 0
+    for iteration in range(1, most + 1):
+        joint.iterate()
+        if iteration in stops:
+            value, values, found = joint.paths()
+            if value < upper or not best:
+                upper, each, best = value, values, found
+            lower = max(lower, joint.bound())
+            gap = max(upper - lower, 0.0) / max(upper, 1e-300) if np.isfinite(upper) and np.isfinite(lower) else np.inf
+            history.append((iteration, upper, lower, gap))
+        watch(gap, iteration / most)
+        if gap <= wished:
+            break
+    model = joint.models[0]
+    value_unit = model.value_unit / count
+    steps = [np.array(column) for column in zip(*history, strict=True)]
+    units = (1.0, value_unit, value_unit, 1.0)
+    names_of = ("iteration", "cost", "lower_bound", "gap")
+    paths = np.stack(best) * model.density
+    for path, density in zip(paths, given, strict=True):
+        path[0] = density
+    return BarycenterResult(
+        shape=surface.operators.shape,
+        density=paths[0][-1].copy(),
+        weights=share,
+        cost=upper * value_unit,
+        lower_bound=lower * value_unit,
+        gap=gap,
+        distances=np.sqrt(2 * np.array(each) * value_unit / share),
+        paths=paths,
+        iterations=iteration,
+        converged=bool(gap <= wished),
+        history={name: column * factor for name, column, factor in zip(names_of, steps, units, strict=True)},
+    )
