@@ -27,7 +27,7 @@ __all__ = [
     "quadratic",
 ]
 
-_HALVINGS = 80  # of a bracket around the root of a monotone function: to the last bit from any start
+LEAST, MOST, STEPS = -690.0, 340.0, 100  # logarithms of the smallest and largest density looked at; steps to its last bit at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ class Cost:
 
     def prox(self, density: Floats, step: float) -> Floats:
         """The p from 0 to ``upper`` with the least ``step F(p) + (p - density)² / 2``."""
-        return self._limited(_root(lambda p: p + step * self.derivative(p) - density, np.maximum(np.abs(density), 1e-300)))
+        return self._limited(_root(lambda p: p + step * self.derivative(p) - density, np.abs(density)))
 
     def maximizer(self, slope: Floats) -> Floats:
         """The p from 0 to ``upper`` with the largest ``slope p - F(p)``."""
@@ -181,24 +181,39 @@ class Cost:
 
 
 def _root(f: Callable[[Floats], Floats], start: Floats) -> Floats:
-    """The root over p >= 0 of an increasing function, element by element; 0 where there is none, very large where it is not reached."""
-    low = np.zeros_like(start)
+    """The root over p >= 0 of an increasing function, element by element: 0 where there is none, very large where it is not reached.
+
+    In log p: a bracket that doubles its width, then Chandrupatla's mixture of bisection and inverse quadratic interpolation (1997)."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        high = start.astype(np.float64)
-        for _ in range(200):
-            short = f(high) < 0
-            if not short.any():
+        middle = np.log(np.clip(start, 1e-100, 1e100))
+        low, high, width = middle - 1, middle + 1, 1.0
+        f_low, f_high = f(np.exp(low)), f(np.exp(high))
+        for _ in range(11):
+            above, below = (f_low > 0) & (low > LEAST), (f_high < 0) & (high < MOST)
+            if not (above.any() or below.any()):
                 break
-            low = np.where(short, high, low)
-            high = np.where(short, np.minimum(4 * high, 1e150), high)
-            if (high[short] >= 1e150).all():
+            width *= 2
+            low, high = np.where(above, np.maximum(low - width, LEAST), low), np.where(below, np.minimum(high + width, MOST), high)
+            f_low, f_high = f(np.exp(low)), f(np.exp(high))
+        none, never = f_low > 0, f_high < 0
+        x1, f1, x2, f2, t = high, f_high, low, f_low, np.full_like(middle, 0.5)
+        for _ in range(STEPS):
+            x = x1 + t * (x2 - x1)
+            fx = f(np.exp(x))
+            same = np.sign(fx) == np.sign(f1)
+            x3, f3 = np.where(same, x1, x2), np.where(same, f1, f2)
+            x2, f2 = np.where(same, x2, x1), np.where(same, f2, f1)
+            x1, f1 = x, fx
+            best = np.where(np.abs(f2) < np.abs(f1), x2, x1)
+            small = (4e-16 * np.abs(best) + 1e-16) / np.abs(x2 - x1)
+            if ((small > 0.5) | (f1 == 0) | none | never).all():
                 break
-        for _ in range(_HALVINGS):
-            # between numbers far apart the geometric mean halves the exponent
-            middle = np.where((low > 0) & (high > 4 * low), np.sqrt(low) * np.sqrt(high), 0.5 * (low + high))
-            short = f(middle) < 0
-            low, high = np.where(short, middle, low), np.where(short, high, middle)
-    return 0.5 * (low + high)
+            xi, phi = (x1 - x2) / (x3 - x2), (f1 - f2) / (f3 - f2)
+            quadratic = (phi**2 < xi) & ((1 - phi) ** 2 < 1 - xi)
+            guess = f1 / (f2 - f1) * f3 / (f2 - f3) + (x3 - x1) / (x2 - x1) * f1 / (f3 - f1) * f2 / (f3 - f2)
+            t = np.clip(np.where(quadratic & np.isfinite(guess), guess, 0.5), np.minimum(small, 0.5), 1 - np.minimum(small, 0.5))
+        found: Floats = np.where(none | (best <= LEAST + 1), 0.0, np.where(never, np.exp(MOST), np.exp(best)))
+    return found
 
 
 @dataclass(frozen=True, eq=False)

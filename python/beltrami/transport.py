@@ -209,7 +209,7 @@ class Flow:
         return np.stack(out)
 
     def plot(self, *, times: int | Sequence[float] = 5, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
-        """Paints the density at some times side by side, on one scale; an ``.html`` page lets you step through them.
+        """Paints the density at some times, on one scale: side by side, or in an ``.html`` page with a slider through time.
 
         Parameters
         ----------
@@ -220,12 +220,20 @@ class Flow:
         **options
             Those of :func:`beltrami.plot`.
         """
+        from .film import film
         from .view import plot
 
         chosen = np.linspace(0, 1, arrays.whole(times, "times", 1)) if isinstance(times, int) else np.asarray(list(times), float)
         fields = {f"t = {t:.3g}": self.interpolate(float(t)) for t in chosen}
         high = max(float(field.max()) for field in fields.values())
-        return plot(self.shape, fields, path=path, **{"limits": (0.0, high), **options})
+        look = {"limits": (0.0, high), **options}
+        if path is None or Path(path).suffix.lower() != ".html":
+            return plot(self.shape, fields, path=path, **look)
+        look = {"size": (1000, 760), "label": "density", **look}
+        frames = [plot(self.shape, field, **look) for field in fields.values()]
+        page = film([frame for frame in frames if isinstance(frame, Picture)], list(fields), title=options.get("title") or "")
+        page.save(path)
+        return page
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the shape with the densities of all times to ``.ply``, pictures to ``.png`` or ``.html``."""
