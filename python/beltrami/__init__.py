@@ -11,6 +11,7 @@ from .collection import DistanceMatrix, distance_matrix
 from .committor import CommittorResult, committor, reweight, sample_density
 from .barycenter import BarycenterResult, wasserstein_barycenter
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
+from .committor import CommittorResult, committor, reweight, sample_density
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs

@@ -510,6 +510,161 @@ def _vertex_pairs(name: str | None) -> npt.NDArray[np.int64] | None:
     return np.array(rows, np.int64).reshape(-1, 2)
 
 
+def _flow_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    _look(parser)
+    _output(parser)
+    what = "a field of the file, a file of numbers, one a vertex, uniform, or vertex:K[:WIDTH], a bump (width .1, in roots of the area)"
+    parser.add_argument("--from", dest="start", required=True, metavar="DENSITY", help=f"the density at time 0: {what}")
+    parser.add_argument("--to", dest="end", metavar="DENSITY", help="the density at time 1")
+    parser.add_argument("--intervals", type=int, default=32, help="of time (32)")
+    parser.add_argument("--method", choices=("primal_dual", "projected_gradient"), default="primal_dual")
+    parser.add_argument("--tolerance", type=float, default=1e-3, help="relative gap to stop at (1e-3)")
+    parser.add_argument("--max-iterations", type=int, default=300)
+    parser.add_argument("--times", type=int, default=6, help="how many times in a picture (6); .html has at least 25")
+
+
+def _density(name: str, shape: Any) -> npt.NDArray[np.float64]:
+    """A density that was named on the command line."""
+    places = positions(shape)
+    if name == "uniform":
+        return np.ones(len(places))
+    if name.startswith("vertex:"):
+        try:
+            vertex, width = (*name.split(":")[1:], "0.1")[:2]
+            centre, size = int(vertex), arrays.number(float(width), "the bump's width", above=0)
+        except ValueError as error:
+            raise InputError(f"{name}: write it like vertex:120 or vertex:120:0.1 ({error})") from None
+        arrays.indices([centre], name, len(places))
+        reach = size * np.sqrt(bt.operators(shape).mass.sum())
+        distance = bt.geodesic_distance(shape, centre) / reach
+        bump: npt.NDArray[np.float64] = np.maximum(1 - distance**2 / 4, 0.0) ** 2
+        return bump
+    values, _ = _values(name, shape)
+    if isinstance(values, dict):
+        raise InputError(f"{name} holds {', '.join(values)}; put the one that is meant into a file of its own")
+    array = np.asarray(values, np.float64)
+    if array.shape != (len(places),):
+        raise InputError(f"{name} has shape {array.shape}; one number a vertex is needed, that is ({len(places)},)")
+    return array
+
+
+def _unit_mass(density: npt.NDArray[np.float64], ops: Any) -> npt.NDArray[np.float64]:
+    mass = float(ops.mass @ density)
+    return density / mass if np.isfinite(mass) and mass > 0 else density
+
+
+def _write_flow(options: Options, shape: Any, r: Any, certificate: Sequence[float]) -> None:
+    values = {
+        "density": np.ascontiguousarray(r.density.T),
+        "momentum": r.momentum,
+        "potential": np.ascontiguousarray(r.potential.T),
+        "certificate": np.array(certificate),
+    }
+    pictures = [name for name in options.out or [] if Path(name).suffix.lower() in (".png", ".html")]
+    write(argparse.Namespace(out=[name for name in options.out or [] if name not in pictures]), shape, values, {})
+    for name in pictures:
+        times = options.times if name.lower().endswith(".png") else max(options.times, 25)
+        print(f"wrote {r.plot(times=times, path=name, **_looks(options)).path}")
+
+
+def _transport_options(parser: argparse.ArgumentParser) -> None:
+    _flow_options(parser)
+
+
+@command("transport", "optimal transport between two densities (of unit mass), certified", _transport_options)
+def transport(options: Options) -> int:
+    check_outputs(options)
+    _looks(options)
+    if options.end is None:
+        raise InputError("--to is missing; name the density at time 1 (a game can do without)")
+    shape = shape_of(options)
+    ops = bt.operators(shape, laplacian="cotangent") if isinstance(shape, bt.TriangleMesh) else _operators(shape)
+    ends = [_unit_mass(_density(name, shape), ops) for name in (options.start, options.end)]
+    r = bt.transport(
+        ops,
+        *ends,
+        intervals=options.intervals,
+        normalize=True,
+        method=options.method,
+        tolerance=options.tolerance,
+        max_iterations=options.max_iterations,
+        progress=Bar("transport"),
+    )
+    rows = [("distance W2", r.distance), ("cost, half its square", r.cost), ("proved lower bound", r.lower_bound), ("relative gap", r.gap)]
+    rows += [("continuity residual", r.continuity_residual), ("least density", float(r.density.min())), ("iterations", r.iterations)]
+    table([*rows, ("converged", r.converged)])
+    _write_flow(options, shape, r, (r.cost, r.lower_bound, r.gap))
+    return DONE if r.converged else _unfinished(r)
+
+
+def _game_options(parser: argparse.ArgumentParser) -> None:
+    _flow_options(parser)
+    parser.add_argument("--congestion", type=float, metavar="W", help="running cost W/2 ∫ ρ²")
+    parser.add_argument("--entropy", type=float, metavar="W", help="running cost W ∫ ρ log ρ - ρ")
+    parser.add_argument("--cap", type=float, metavar="C", help="largest density, in units of the mean density")
+    parser.add_argument("--potential", metavar="VALUES", help="running cost ∫ V ρ: a field or a file of numbers, one a vertex")
+    parser.add_argument("--target", metavar="DENSITY", help="where the end shall be near, instead of --to")
+    parser.add_argument(
+        "--target-weight", type=float, default=10.0, metavar="W", help="how near (10): W ∫ ρ log(ρ / target) or W/2 ∫ (ρ - target)²"
+    )
+    parser.add_argument("--terminal", choices=("kullback_leibler", "quadratic"), default="kullback_leibler")
+    parser.add_argument("--power", type=float, default=2.0, metavar="Q", help="speed to this power costs, from 1.05 to 2 (2)")
+
+
+@command("game", "a mean-field game: transport with costs of crowds, places and the end, certified", _game_options)
+def game(options: Options) -> int:
+    check_outputs(options)
+    _looks(options)
+    if options.end is not None and options.target is not None:
+        raise InputError("--to and --target are both given; the end is either fixed or free, so leave one out")
+    shape = shape_of(options)
+    ops = bt.operators(shape, laplacian="cotangent") if isinstance(shape, bt.TriangleMesh) else _operators(shape)
+    start = _unit_mass(_density(options.start, shape), ops)
+    running: list[bt.costs.Cost] = []
+    if options.congestion is not None:
+        running.append(bt.costs.congestion(options.congestion))
+    if options.entropy is not None:
+        running.append(bt.costs.entropy(options.entropy))
+    if options.potential is not None:
+        running.append(bt.costs.potential(_density(options.potential, shape)))
+    if options.cap is not None:
+        running.append(bt.costs.density_cap(arrays.number(options.cap, "--cap", above=0) / float(ops.mass.sum())))
+    terminal = None
+    if options.target is not None:
+        target = _unit_mass(_density(options.target, shape), ops)
+        if options.terminal == "kullback_leibler":
+            target = _unit_mass(target + 1e-3 * target.max(), ops)  # it must be positive
+        terminal = getattr(bt.costs, options.terminal)(target, weight=options.target_weight)
+    total = None
+    for cost in running:
+        total = cost if total is None else total + cost
+    r = bt.mean_field_game(
+        ops,
+        start,
+        None if options.end is None else _unit_mass(_density(options.end, shape), ops),
+        intervals=options.intervals,
+        running_cost=total,
+        terminal_cost=terminal,
+        lagrangian=bt.costs.power(options.power),
+        normalize=True,
+        method=options.method,
+        tolerance=options.tolerance,
+        max_iterations=options.max_iterations,
+        progress=Bar("game"),
+    )
+    rows = [("objective", r.objective), ("moving", r.kinetic), ("being somewhere", r.running), ("the end", r.terminal)]
+    rows += [
+        ("proved lower bound", r.lower_bound),
+        ("relative gap", r.gap),
+        ("exploitability", r.exploitability),
+        ("iterations", r.iterations),
+    ]
+    table([*rows, ("converged", r.converged)])
+    _write_flow(options, shape, r, (r.objective, r.lower_bound, r.gap))
+    return DONE if r.converged else _unfinished(r)
+
+
 def _plot_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)

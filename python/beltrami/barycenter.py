@@ -20,7 +20,7 @@ from .operators import Operators
 from .progress import Progress
 from .segment import _Watch, _write
 from .shapes import Shape
-from .transport import balanced, density_in, options_in
+from .transport import DENSITY_COLOURS, balanced, density_in, options_in
 from .view import Page, Picture
 
 __all__ = ["BarycenterResult", "wasserstein_barycenter"]
@@ -70,7 +70,7 @@ class BarycenterResult:
         from .view import plot
 
         fields = {f"density {k}, weight {w:.3g}": p[0] for k, (w, p) in enumerate(zip(self.weights, self.paths, strict=True))}
-        return plot(self.shape, {**fields, "barycenter": self.density}, path=path, **options)
+        return plot(self.shape, {**fields, "barycenter": self.density}, path=path, **{"colormap": DENSITY_COLOURS, **options})
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, a picture to ``.png`` or ``.html``."""
@@ -78,7 +78,7 @@ class BarycenterResult:
         if path.suffix.lower() in (".png", ".html"):
             self.plot(path=path)
         elif path.suffix.lower() == ".npz":
-            kept = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | float | int)}
+            kept: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | float | int)}
             _write(path, lambda stream: np.savez_compressed(stream, **kept))
         else:
             raise InputError(f"{path}: a barycenter is written to .npz, .png or .html")
@@ -90,7 +90,8 @@ class _Joint:
 
     def __init__(self, models: list[Model], start: _Joint | None = None) -> None:
         self.models = models
-        self.runs = [Splitting(model, start=None if start is None else start.runs[i]) for i, model in enumerate(models)]
+        starts: list[Splitting | None] = [None] * len(models) if start is None else [*start.runs]
+        self.runs: list[Splitting] = [Splitting(model, start=before) for model, before in zip(models, starts, strict=True)]
 
     def iterate(self) -> None:
         duals, ends = [], []
@@ -102,8 +103,7 @@ class _Joint:
             ends.append(v[-1] / scale[-1])
         common = np.maximum(np.mean(ends, axis=0), 0.0)
         for run, dual, end in zip(self.runs, duals, ends, strict=True):
-            scale = float(run.sigma * run.kappa[-1, 0])
-            dual[-1] = scale * (end - common)
+            dual[-1] = run.sigma * run.kappa[-1, 0] * (end - common)
             run.finish(dual)
 
     def bound(self) -> float:
@@ -201,11 +201,12 @@ def wasserstein_barycenter(
     """
     surface = Surface(shape)
     wished, most, limit = options_in("primal_dual", tolerance, max_iterations, memory)
-    count = len(densities) if np.ndim(densities) != 0 else 0
+    rows: list[Any] = list(densities) if isinstance(densities, Sequence | np.ndarray) else []
+    count = len(rows)
     if count == 0:
         raise InputError("densities is empty; give at least one")
     names = [f"densities[{k}]" for k in range(count)]
-    given = [density_in(surface, density, name) for density, name in zip(densities, names, strict=True)]  # type: ignore[arg-type]
+    given = [density_in(surface, density, name) for density, name in zip(rows, names, strict=True)]
     given = balanced(surface, given, names, normalize)
     share = np.ones(count) if weights is None else arrays.floats(weights, "weights", (count,))
     if share.min() <= 0:

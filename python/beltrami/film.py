@@ -15,18 +15,18 @@ __all__ = ["film"]
 _TEMPLATE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>__TITLE__</title>
 <style>
-:root { color-scheme: light dark; }
-body { margin: 0; font: 16px/1.5 system-ui, sans-serif; background: #fff; color: #1b1e23; }
+body { margin: 0; font: 16px/1.5 system-ui, sans-serif; background: #fff; color: #1b1e23; color-scheme: light; }
 main { max-width: 70rem; margin: 0 auto; padding: 1rem; }
 img { display: block; width: 100%; height: auto; }
 .bar { display: flex; gap: 1rem; align-items: center; padding: .8rem 0; }
 input { flex: 1; min-width: 6rem; }
-button { font: inherit; padding: .35rem 1.1rem; border-radius: 8px; border: 1px solid #8a94a3; background: #eef1f5; color: inherit; cursor: pointer; }
+button { font: inherit; padding: .35rem 1.1rem; border-radius: 8px; border: 1px solid #8a94a3; background: #eef1f5; color: inherit; }
 output { min-width: 6rem; font-variant-numeric: tabular-nums; }
 </style></head><body><main>
 <img id="frame" src="data:image/png;base64,__FIRST__" alt="__TITLE__">
 <div class="bar"><button id="play" type="button" aria-pressed="false">Play</button>
-<input id="time" type="range" min="0" max="__LAST__" value="0" step="1" aria-label="__LABEL__"><output id="caption" for="time">__CAPTION__</output></div>
+<input id="time" type="range" min="0" max="__LAST__" value="0" step="1" aria-label="__LABEL__">
+<output id="caption" for="time">__CAPTION__</output></div>
 <noscript>The slider needs JavaScript.</noscript>
 </main><script>
 const frames = __FRAMES__, captions = __CAPTIONS__;
@@ -67,7 +67,7 @@ def film(pictures: Sequence[Picture], captions: Sequence[str], *, title: str = "
     Raises
     ------
     InputError
-        There are no pictures, or as many captions as pictures are missing.
+        There are no pictures, or not as many captions.
 
     Examples
     --------

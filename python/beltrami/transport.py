@@ -27,6 +27,7 @@ __all__ = ["Flow", "TransportResult", "transport"]
 
 Method = Literal["primal_dual", "projected_gradient"]
 
+DENSITY_COLOURS = ["#e9e7e2", "#f5c869", "#ec7a45", "#b12e62", "#451264"]  # light where there is nothing
 EQUAL = 1e-9  # relative difference of two masses that is still rounding
 
 
@@ -208,7 +209,7 @@ class Flow:
                 out.append(places.points)
         return np.stack(out)
 
-    def plot(self, *, times: int | Sequence[float] = 5, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+    def plot(self, *, times: int | Sequence[float] = 6, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the density at some times, on one scale: side by side, or in an ``.html`` page with a slider through time.
 
         Parameters
@@ -226,14 +227,13 @@ class Flow:
         chosen = np.linspace(0, 1, arrays.whole(times, "times", 1)) if isinstance(times, int) else np.asarray(list(times), float)
         fields = {f"t = {t:.3g}": self.interpolate(float(t)) for t in chosen}
         high = max(float(field.max()) for field in fields.values())
-        look = {"limits": (0.0, high), **options}
+        look: dict[str, Any] = {"limits": (0.0, high), "colormap": DENSITY_COLOURS, **options}
         if path is None or Path(path).suffix.lower() != ".html":
             return plot(self.shape, fields, path=path, **look)
         look = {"size": (1000, 760), "label": "density", **look}
-        frames = [plot(self.shape, field, **look) for field in fields.values()]
+        frames = [plot(self.shape, field, **look) for field in fields.values()]  # pictures, as no path is given
         page = film([frame for frame in frames if isinstance(frame, Picture)], list(fields), title=options.get("title") or "")
-        page.save(path)
-        return page
+        return Page(page.html, page.description, page.save(path))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the shape with the densities of all times to ``.ply``, pictures to ``.png`` or ``.html``."""

@@ -386,14 +386,18 @@ impl Domain {
                 mean += 2.0 * (after[corner] + after[corner + nodes]) - (before[corner] + before[corner + nodes]);
             }
             let a = *r + dual * (share * mean);
-            let (mut b, mut moved, mut square) = ([0.0; S], [0.0; S], 0.0);
+            let (mut b, mut moved, mut square, mut last) = ([0.0; S], [0.0; S], 0.0, 0.0);
             for k in 0..side {
+                last += d[k] * d[k];
                 moved[k] = slope[k] - primal * d[k];
                 b[k] = d[k] + dual * (m[k] + 2.0 * moved[k]);
                 square += b[k] * b[k];
             }
-            let (alpha, scale) =
-                if power == 2.0 { nearest_square(a, square, weights[element]) } else { nearest(a, square, weights[element], conjugate) };
+            let (alpha, scale) = if power == 2.0 {
+                nearest_square(a, square, weights[element], last.sqrt())
+            } else {
+                nearest(a, square, weights[element], conjugate)
+            };
             *r += relaxation * (alpha - *r);
             for k in 0..side {
                 d[k] += relaxation * (scale * b[k] - d[k]);
@@ -443,12 +447,12 @@ impl Domain {
     }
 }
 
-/// The nearest point with `α + |β|^2 / (2 w) <= 0`: α, and the factor of β. `square` is |β|^2.
+/// The nearest point with `α + |β|^2 / (2 w) <= 0`: α, and the factor of β. `square` is |β|^2, `guess` a length near that of the answer.
 ///
 /// With s the length of the answer, `f(s) = (s / w) (a + s^2 / (2 w)) + s - |b|` vanishes. It is convex and increasing right of where its
-/// first factor is positive, so Newton from the right comes down to the root.
+/// first factor is positive, so Newton from the right comes down to the root; a guess left of it, where f increases, leaps over to the right.
 #[inline]
-fn nearest_square(a: f64, square: f64, w: f64) -> (f64, f64) {
+fn nearest_square(a: f64, square: f64, w: f64, guess: f64) -> (f64, f64) {
     let v = 1.0 / w;
     if a + 0.5 * v * square <= 0.0 {
         return (a, 1.0);
@@ -457,17 +461,17 @@ fn nearest_square(a: f64, square: f64, w: f64) -> (f64, f64) {
     if length <= 1e-150 {
         return (a.min(0.0), 1.0);
     }
-    let slope = 1.0 + a * v;
-    let mut s = length.min((2.0 * w * w * length).cbrt().max(if slope > 0.0 { 0.0 } else { length }));
-    if slope > 1.0 {
-        s = s.min(length / slope);
+    let (slope, cube) = (1.0 + a * v, 0.5 * v * v);
+    let upper = if slope > 1.0 { length / slope } else { length };
+    let mut s = upper;
+    if guess < upper && 3.0 * cube * guess * guess + slope > 0.25 {
+        s = guess;
     }
-    let cube = 0.5 * v * v;
-    for _ in 0..60 {
+    for _ in 0..200 {
         let step = ((cube * s * s + slope) * s - length) / (3.0 * cube * s * s + slope);
-        s -= step;
-        if step <= 1e-15 * s {
-            break;
+        s = (s - step).min(upper);
+        if step.abs() <= 1e-10 * s {
+            break; // the next step would be below 1e-20: Newton squares the error
         }
     }
     (-0.5 * v * s * s, s / length)
@@ -512,8 +516,8 @@ mod tests {
         for &w in &[1e-3, 1.0, 50.0, 1e6] {
             for &a in &[-1e3, -2.0, -0.1, 0.0, 0.3, 40.0] {
                 for &b in &[0.0, 1e-8, 0.2, 1.0, 70.0f64] {
-                    for &r in &[2.0, 3.0, 6.0] {
-                        let (alpha, scale) = if r == 2.0 { nearest_square(a, b * b, w) } else { nearest(a, b * b, w, r) };
+                    for &(r, guess) in &[(2.0, 0.0), (2.0, 0.01), (2.0, 0.9), (2.0, 1e3), (3.0, 0.0), (6.0, 0.0)] {
+                        let (alpha, scale) = if r == 2.0 { nearest_square(a, b * b, w, guess) } else { nearest(a, b * b, w, r) };
                         let (c, s) = (f64::powf(w, 1.0 - r) / r, scale * b);
                         if a + c * b.powf(r) <= 0.0 {
                             assert_eq!((alpha, scale), (a, 1.0));

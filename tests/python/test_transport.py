@@ -44,7 +44,8 @@ def judge(mesh: Any, r: Any, density0: Any, density1: Any | None = None, weight:
     count = len(mesh.vertices)
     mass = np.bincount(mesh.faces.ravel(), np.repeat(areas / 3, 3), count)
     n = len(r.momentum)
-    assert r.density.shape == (n + 1, count) and r.momentum.shape == (n, len(mesh.faces), mesh.dimension)
+    assert r.density.shape == (n + 1, count)
+    assert r.momentum.shape == (n, len(mesh.faces), mesh.dimension)
     assert (r.density >= 0).all()
     np.testing.assert_array_equal(r.density[0], density0)
     if density1 is not None:
@@ -88,12 +89,15 @@ def test_zonal_densities_on_the_sphere() -> None:
     r = bt.transport(mesh, a, b, intervals=16)
     assert r.converged
     cost = judge(mesh, r, a, b)
-    assert r.cost == pytest.approx(cost, rel=1e-12) and r.distance == pytest.approx(np.sqrt(2 * cost), rel=1e-12)
+    assert r.cost == pytest.approx(cost, rel=1e-12)
+    assert r.distance == pytest.approx(np.sqrt(2 * cost), rel=1e-12)
     assert r.distance**2 == pytest.approx(exact, rel=0.007)  # the mesh's error at 642 vertices
     bound = proved(mesh, r, a, b)
-    assert r.lower_bound <= bound * (1 + 1e-9) and r.lower_bound <= r.cost
+    assert r.lower_bound <= bound * (1 + 1e-9)
+    assert r.lower_bound <= r.cost
     assert r.gap == pytest.approx((r.cost - r.lower_bound) / r.cost, rel=1e-6, abs=1e-12)
-    assert r.gap <= 1e-3 and r.continuity_residual <= 1e-12
+    assert r.gap <= 1e-3
+    assert r.continuity_residual <= 1e-12
 
 
 def test_shift_of_a_compact_bump_on_a_flat_torus_in_four_dimensions() -> None:
@@ -116,7 +120,9 @@ def test_shift_of_a_compact_bump_on_a_flat_torus_in_four_dimensions() -> None:
 def test_equal_densities_cost_nothing_and_do_not_move() -> None:
     a, _ = pair()
     r = bt.transport(SPHERE, a, a, intervals=4)
-    assert r.cost == r.distance == r.gap == 0 and r.converged and not r.momentum.any()
+    assert r.cost == r.distance == r.gap == 0
+    assert r.converged
+    assert not r.momentum.any()
     np.testing.assert_array_equal(r.density, np.repeat(a[None], 5, axis=0))
 
 
@@ -142,14 +148,17 @@ def test_error_falls_with_refinement_in_space_and_time() -> None:
         a, b = unit(mesh, 1 + 1.5 * (x - 0.5)), unit(mesh, 1 - 1.0 * (x - 0.5))
         errors.append(abs(bt.transport(mesh, a, b, intervals=n - 1, tolerance=1e-5).distance ** 2 / exact - 1))
     slope = np.polyfit(np.log(np.array(sizes) - 1), np.log(errors), 1)[0]
-    assert slope < -0.8 and errors[-1] < 0.005, (slope, errors)  # first order at the boundary, where lumping shifts half cells
+    assert errors[-1] < 0.005, errors
+    assert slope < -0.8, (slope, errors)  # first order at the boundary, where lumping shifts half cells
 
 
 def test_the_certified_gap_reaches_small_tolerances() -> None:
     a, b = pair()
     r = bt.transport(SPHERE, a, b, intervals=8, tolerance=1e-6)
-    assert r.converged and r.gap <= 1e-6
-    assert (np.diff(r.history["objective"]) <= 0).all() and (np.diff(r.history["lower_bound"]) >= 0).all()
+    assert r.converged
+    assert r.gap <= 1e-6
+    assert (np.diff(r.history["objective"]) <= 0).all()
+    assert (np.diff(r.history["lower_bound"]) >= 0).all()
 
 
 # --- properties --------------------------------------------------------------------------------------------------------------------
@@ -224,7 +233,9 @@ def test_a_vertex_of_no_triangle_does_no_harm() -> None:
     a, b = pair()
     loose = bt.TriangleMesh(np.r_[SPHERE.vertices, [[5.0, 5, 5]]], SPHERE.faces)
     r = bt.transport(loose, np.r_[a, 0.0], np.r_[b, 0.0], intervals=4)
-    assert r.converged and np.isfinite(r.density).all() and np.isfinite(r.potential).all()
+    assert r.converged
+    assert np.isfinite(r.density).all()
+    assert np.isfinite(r.potential).all()
     assert r.cost == pytest.approx(bt.transport(SPHERE, a, b, intervals=4).cost, rel=1e-3)
 
 
@@ -239,7 +250,8 @@ def test_clouds_and_boundaries() -> None:
     ends = [np.exp(points[:, k]) for k in (0, 2)]
     r = bt.transport(cloud, *ends, intervals=6, normalize=True)
     same = bt.transport(bt.shapes.sphere(3), *ends, intervals=6, normalize=True)
-    assert r.converged and r.distance == pytest.approx(same.distance, rel=0.02)
+    assert r.converged
+    assert r.distance == pytest.approx(same.distance, rel=0.02)
     assert r.momentum.shape[1] == len(r.corners)
 
 
@@ -290,7 +302,9 @@ def test_nothing_moves_where_every_cost_is_least() -> None:
     for make in (bt.costs.quadratic, bt.costs.kullback_leibler):
         r = bt.mean_field_game(SPHERE, a, intervals=4, running_cost=make(a, 5.0), terminal_cost=make(a, 5.0))
         np.testing.assert_allclose(r.density, np.repeat(a[None], 5, axis=0), rtol=1e-12)
-        assert r.converged and abs(r.objective) < 1e-12 and r.exploitability < 1e-6
+        assert r.converged
+        assert abs(r.objective) < 1e-12
+        assert r.exploitability < 1e-6
 
 
 def test_a_dear_end_tends_to_the_transport() -> None:
@@ -298,7 +312,8 @@ def test_a_dear_end_tends_to_the_transport() -> None:
     limit = bt.transport(SPHERE, a, b, intervals=6).cost
     done = [bt.mean_field_game(SPHERE, a, intervals=6, terminal_cost=bt.costs.quadratic(b, weight)) for weight in (10.0, 100.0, 1000.0)]
     values = [r.objective for r in done]
-    assert all(r.converged for r in done) and values[0] < values[1] < values[2] < limit * 1.001
+    assert all(r.converged for r in done)
+    assert values[0] < values[1] < values[2] < limit * 1.001
     assert values[2] == pytest.approx(limit, rel=0.03)
     miss = [np.abs(r.density[-1] - b).max() for r in done]
     assert miss[0] > miss[1] > miss[2]
@@ -323,7 +338,8 @@ def test_caps_potentials_and_custom_costs() -> None:
     cap = 1.02 * max(a.max(), b.max())
     capped = bt.mean_field_game(SPHERE, a, b, intervals=6, running_cost=bt.costs.density_cap(cap), tolerance=2e-3)
     judge(SPHERE, capped, a, b)
-    assert capped.density.max() <= cap * (1 + 1e-12) and capped.objective >= low.lower_bound
+    assert capped.density.max() <= cap * (1 + 1e-12)
+    assert capped.objective >= low.lower_bound
     north = SPHERE.vertices[:, 2]
     dear = bt.mean_field_game(SPHERE, a, b, intervals=6, running_cost=bt.costs.potential(3 * north))
     assert dear.density[3] @ (north > 0) < low.density[3] @ (north > 0)
@@ -369,7 +385,8 @@ def test_proximal_points_and_conjugates(name: str, numbers: list[float], step: f
     if cost.upper is not None:
         grid = np.minimum(grid, cost.upper)
     p = cost.prox(v, step)
-    assert (p >= 0).all() and (cost.upper is None or (p <= cost.upper + 1e-12).all())
+    assert (p >= 0).all()
+    assert cost.upper is None or (p <= cost.upper + 1e-12).all()
     values = step * cost.value(grid) + 0.5 * (grid - v) ** 2
     assert (step * cost.value(p) + 0.5 * (p - v) ** 2 <= values.min(0) + 1e-9 * (1 + np.abs(values.min(0)))).all()
     assert (cost.conjugate(v) >= (v * grid - cost.value(grid)).max(0) - 1e-9).all()
@@ -382,7 +399,8 @@ def test_the_barycenter_of_two_is_on_the_geodesic_between_them() -> None:
     a, b = pair(sharp=1.5)
     r = bt.wasserstein_barycenter(SPHERE, [a, b], weights=[3, 1], intervals=8)
     whole = bt.transport(SPHERE, a, b, intervals=16, tolerance=1e-5)
-    assert r.converged and r.lower_bound <= r.cost
+    assert r.converged
+    assert r.lower_bound <= r.cost
     assert r.cost == pytest.approx(0.75 * 0.25 * whole.cost, rel=0.01)  # Σ w_i (1 - w_i)² W2² / 2 with other time steps
     assert bt.operators(SPHERE).mass @ np.abs(r.density - whole.interpolate(0.25)) < 0.02
     np.testing.assert_allclose(r.distances, np.array([0.25, 0.75]) * whole.distance, rtol=0.02)
@@ -406,7 +424,8 @@ def test_the_barycenter_of_three_is_symmetric() -> None:
 def test_velocity_interpolation_paths_and_files(tmp_path: Any) -> None:
     a, b = pair()
     r = bt.transport(SPHERE, a, b, intervals=5)
-    assert r.velocity.shape == r.momentum.shape and r.intervals == 5
+    assert r.velocity.shape == r.momentum.shape
+    assert r.intervals == 5
     np.testing.assert_allclose(r.interpolate(0.5), (r.density[2] + r.density[3]) / 2)
     np.testing.assert_array_equal(r.interpolate(1.0), b)
     tracks = r.particle_paths([0, 3, 9], substeps=2)
@@ -419,7 +438,8 @@ def test_velocity_interpolation_paths_and_files(tmp_path: Any) -> None:
     assert bt.load(r.save(tmp_path / "flow.ply")).data["density_5"].shape == (len(a),)
     assert r.save(tmp_path / "flow.png").stat().st_size > 1000
     page = r.save(tmp_path / "flow.html").read_text(encoding="utf-8")
-    assert "<input" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "<input" in page
+    assert not any(f'{name}="http' in page for name in ("src", "href"))  # needs no network
     with pytest.raises(bt.InputError, match="npz"):
         r.save(tmp_path / "flow.txt")
     with pytest.raises(bt.InputError, match="from 0 to 1"):
@@ -439,7 +459,9 @@ def test_particles_follow_the_mass() -> None:
 def test_not_converged_is_a_result_that_says_so() -> None:
     a, b = pair()
     r = bt.transport(SPHERE, a, b, intervals=8, max_iterations=2)
-    assert not r.converged and "NOT CONVERGED" in repr(r) and r.gap > 1e-3
+    assert not r.converged
+    assert "NOT CONVERGED" in repr(r)
+    assert r.gap > 1e-3
     judge(SPHERE, r, a, b)
     assert r.lower_bound <= proved(SPHERE, r, a, b) * (1 + 1e-9)
     assert r.lower_bound <= bt.transport(SPHERE, a, b, intervals=8, tolerance=1e-5).cost <= r.cost
@@ -468,9 +490,9 @@ def test_bad_input_is_refused_with_what_to_do() -> None:
         with pytest.raises(bt.InputError, match=message):
             bt.transport(SPHERE, options.pop("density0"), options.pop("density1"), **options)
     two = bt.TriangleMesh(np.r_[SPHERE.vertices, SPHERE.vertices + 9], np.r_[SPHERE.faces, SPHERE.faces + len(a)])
-    with pytest.raises(bt.InputError, match="component 0 .* mass cannot leave a component"):
+    with pytest.raises(bt.InputError, match=r"component \d .* mass cannot leave a component"):
         bt.transport(two, np.r_[a, 2 * b], np.r_[2 * b, a])
-    with pytest.raises(bt.InputError, match="elements"):
+    with pytest.raises(bt.InputError, match="no triangles"):
         bt.transport(bt.TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), int)), [], [])
     with pytest.raises(bt.Cancelled):
         bt.transport(SPHERE, a, b, progress=lambda share: False)

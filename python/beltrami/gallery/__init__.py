@@ -21,7 +21,7 @@ from ..errors import FileError, InputError
 
 __all__ = ["Outcome", "Sheet", "run", "section", "titles"]
 
-_MODULES = ("foundation", "spectra", "clouds", "segmentation", "sphere", "conformal_registration")
+_MODULES = ("foundation", "spectra", "clouds", "segmentation", "sphere", "transport", "conformal_registration")
 
 SECTIONS: dict[str, Callable[[Sheet], None]] = {}
 
@@ -102,6 +102,13 @@ class Sheet:
             self.files.append(self._folder / f"{stem}.html")
             link = f' <a class="open" href="{stem}.html">Turn it yourself</a>'
         self._parts.append(f"<figure>{image}<figcaption>{_inline(caption)}{link}</figcaption></figure>")
+
+    def page(self, page: view.Page, caption: str) -> None:
+        """An interactive page of its own, as a link."""
+        name = f"{self._name}-{sum(file.suffix == '.html' for file in self.files) + 1}-page.html"
+        page.save(self._folder / name)
+        self.files.append(self._folder / name)
+        self._parts.append(f'<p><a class="open" href="{name}">{_inline(caption)}</a></p>')
 
     def html(self) -> str:
         """What was written so far."""

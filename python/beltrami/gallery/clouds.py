@@ -48,7 +48,11 @@ def clouds(sheet: Sheet) -> None:
         size=(1600, 760),
     )
     compared: list[tuple[object, ...]] = []
-    for name, other in (("Spot", mesh), ("cortex, inflated", bt.examples.cortex("infl")), ("cortex, white surface", bt.examples.cortex("white"))):
+    for name, other in (
+        ("Spot", mesh),
+        ("cortex, inflated", bt.examples.cortex("infl")),
+        ("cortex, white surface", bt.examples.cortex("white")),
+    ):
         alone = bt.operators(bt.PointCloud(other.vertices))
         assert isinstance(alone, CloudOperators)
         area = alone.mass.sum() / other.area
