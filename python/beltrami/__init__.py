@@ -6,11 +6,9 @@
 from __future__ import annotations
 
 from . import costs, examples, shapes
-from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
-from .collection import DistanceMatrix, distance_matrix
-from .committor import CommittorResult, committor, reweight, sample_density
 from .barycenter import BarycenterResult, wasserstein_barycenter
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
+from .collection import DistanceMatrix, distance_matrix
 from .committor import CommittorResult, committor, reweight, sample_density
 from .conformal import SphericalMapResult, spherical_map
 from .descriptors import hks, shape_dna, wks
