@@ -255,16 +255,31 @@ impl Basis {
         });
     }
 
-    /// V S, as a block.
-    fn combine(&self, n: usize, coefficients: MatRef<f64>) -> Vec<f64> {
-        let width = coefficients.ncols();
-        let mut out = vec![0.0; n * width];
-        out.par_chunks_mut(ROWS * width).zip(self.numbers.par_chunks(ROWS * self.room)).for_each(|(out, rows)| {
-            let count = out.len() / width;
-            let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room);
-            matmul(MatMut::from_row_major_slice_mut(out, count, width), Accum::Replace, left, coefficients, 1.0, Par::Seq);
+    /// V S in place of V.
+    fn rotate(&mut self, coefficients: MatRef<f64>) {
+        let (room, width, columns) = (self.room, self.width, coefficients.ncols());
+        self.numbers.par_chunks_mut(ROWS * room).for_each(|rows| {
+            let count = rows.len() / room;
+            let mut turned = Mat::zeros(count, columns);
+            let left = MatRef::from_row_major_slice_with_stride(rows, count, width, room);
+            matmul(turned.as_mut(), Accum::Replace, left, coefficients, 1.0, Par::Seq);
+            for (i, row) in rows.chunks_exact_mut(room).enumerate() {
+                (0..columns).for_each(|j| row[j] = turned[(i, j)]);
+            }
         });
-        out
+        self.width = columns;
+    }
+
+    /// The columns alone, row after row.
+    fn into_block(self) -> Vec<f64> {
+        let (mut numbers, room, width) = (self.numbers, self.room, self.width);
+        let n = numbers.len() / room;
+        for row in 1..n {
+            numbers.copy_within(row * room..row * room + width, row * width);
+        }
+        numbers.truncate(n * width);
+        numbers.shrink_to_fit();
+        numbers
     }
 }
 
@@ -335,24 +350,53 @@ impl Pencil<'_> {
         }
     }
 
-    /// A X by differences along the edges: in a Laplacian the large entries of small triangles would drown those of smooth
-    /// functions. A row sum within its rounding of 0 is taken as 0.
-    fn images(&self, block: &[f64], width: usize) -> Vec<f64> {
-        let mut out = vec![0.0; block.len()];
-        out.par_chunks_mut(ROWS * width).enumerate().for_each(|(chunk, out)| {
-            for (row, out) in (chunk * ROWS..).zip(out.chunks_exact_mut(width)) {
-                let (columns, values) = self.matrix.row(row);
-                let (sum, size) = values.iter().fold((0.0, 0.0), |(sum, size): (f64, f64), value| (sum + value, size + value.abs()));
-                let sum = if sum.abs() > f64::EPSILON * values.len() as f64 * size { sum } else { 0.0 };
-                let own = &block[row * width..][..width];
-                out.iter_mut().zip(own).for_each(|(out, own)| *out = sum * own);
+    /// A row of A X by differences along the edges: in a Laplacian the large entries of small triangles would drown those of
+    /// smooth functions. A row sum within its rounding of 0 is taken as 0.
+    fn image(&self, row: usize, block: &[f64], out: &mut [f64]) {
+        let width = out.len();
+        let (columns, values) = self.matrix.row(row);
+        let (sum, size) = values.iter().fold((0.0, 0.0), |(sum, size): (f64, f64), value| (sum + value, size + value.abs()));
+        let sum = if sum.abs() > f64::EPSILON * values.len() as f64 * size { sum } else { 0.0 };
+        let own = &block[row * width..][..width];
+        out.iter_mut().zip(own).for_each(|(out, own)| *out = sum * own);
+        for (&column, &value) in columns.iter().zip(values) {
+            let other = &block[column as usize * width..][..width];
+            out.iter_mut().zip(own.iter().zip(other)).for_each(|(out, (own, other))| *out += value * (other - own));
+        }
+    }
+
+    /// A row of M X.
+    fn mass_image(&self, row: usize, block: &[f64], out: &mut [f64]) {
+        let width = out.len();
+        match self.mass {
+            Mass::Diagonal(diagonal) => out.iter_mut().zip(&block[row * width..]).for_each(|(out, own)| *out = diagonal[row] * own),
+            Mass::Matrix(matrix) => {
+                out.fill(0.0);
+                let (columns, values) = matrix.row(row);
                 for (&column, &value) in columns.iter().zip(values) {
-                    let other = &block[column as usize * width..][..width];
-                    out.iter_mut().zip(own.iter().zip(other)).for_each(|(out, (own, other))| *out += value * (other - own));
+                    out.iter_mut().zip(&block[column as usize * width..]).for_each(|(out, other)| *out += value * other);
                 }
             }
-        });
-        out
+        }
+    }
+
+    /// Adds up over the rows what `add` makes of row, its A X and its M X, in `count` sums a column; rows in fixed groups.
+    fn sums(&self, block: &[f64], width: usize, count: usize, add: impl Fn(usize, &[f64], &[f64], &mut [f64]) + Sync) -> Vec<f64> {
+        let parts: Vec<Vec<f64>> = (0..self.n.div_ceil(ROWS))
+            .into_par_iter()
+            .map(|chunk| {
+                let (mut image, mut weighted, mut sums) = (vec![0.0; width], vec![0.0; width], vec![0.0; width * count]);
+                for row in chunk * ROWS..((chunk + 1) * ROWS).min(self.n) {
+                    self.image(row, block, &mut image);
+                    self.mass_image(row, block, &mut weighted);
+                    add(row, &image, &weighted, &mut sums);
+                }
+                sums
+            })
+            .collect();
+        let mut total = vec![0.0; width * count];
+        parts.iter().for_each(|part| total.iter_mut().zip(part).for_each(|(total, part)| *total += part));
+        total
     }
 
     fn mass_diagonal(&self) -> Vec<f64> {
@@ -552,10 +596,10 @@ impl Pencil<'_> {
                 let last_search_found_nothing =
                     known.as_ref().is_some_and(|known| known.iter().zip(&values).all(|(a, b)| (a - b).abs() <= 1e-9 * a.abs()));
                 if full || last_search_found_nothing || !has_large_cluster(&values) {
-                    let x = search.basis.combine(n, vectors.subcols(0, k));
+                    search.basis.rotate(vectors.as_ref().subcols(0, k));
                     return Ok(Eigenpairs {
                         values: values.iter().map(|theta| shift + 1.0 / theta).collect(),
-                        vectors: x,
+                        vectors: search.basis.into_block(),
                         residuals: Vec::new(),
                         iterations: blocks,
                     });
@@ -767,10 +811,8 @@ impl Search<'_> {
         let last = self.coupling.ncols();
         let size = self.basis.width;
         let arrow = &self.coupling * vectors.as_ref().submatrix(size - last, 0, last, keep);
-        let kept = self.basis.combine(n, vectors.as_ref().subcols(0, keep));
+        self.basis.rotate(vectors.as_ref().subcols(0, keep));
         let room = self.basis.room;
-        self.basis.width = 0;
-        self.basis.push(&kept, keep);
         self.projected = Mat::zeros(room, room);
         for (i, &value) in theta[..keep].iter().enumerate() {
             self.projected[(i, i)] = value;
@@ -797,28 +839,35 @@ impl Eigenpairs {
         Eigenpairs { values: chosen.iter().map(|&j| values[j]).collect(), vectors, residuals: Vec::new(), iterations: 0 }
     }
 
-    /// Sorted, with fixed signs, Rayleigh quotients as values, and the residuals.
+    /// Sorted, with fixed signs, Rayleigh quotients as values, and the residuals. No second block of vectors is held.
     fn checked(mut self, pencil: &Pencil) -> Result<Self> {
         let k = self.values.len();
-        let (images, mass_images) = (pencil.images(&self.vectors, k), pencil.mass_times(&self.vectors, k)?);
         let diagonal = pencil.mass_diagonal();
-        let columns: Vec<(f64, f64, f64)> = (0..k)
-            .into_par_iter()
-            .map(|j| {
-                let column = |numbers: &[f64], row: usize| numbers[row * k + j];
-                let (mut norm, mut energy, mut largest) = (0.0, 0.0, 0.0f64);
-                for row in 0..pencil.n {
-                    let x = column(&self.vectors, row);
-                    norm += x * column(&mass_images, row);
-                    energy += x * column(&images, row);
-                    if x.abs() > largest.abs() * (1.0 + 1e-9) {
-                        largest = x;
-                    }
+        let quotients = pencil.sums(&self.vectors, k, 2, |row, image, weighted, sums| {
+            let own = &self.vectors[row * k..][..k];
+            for (j, sums) in sums.chunks_exact_mut(2).enumerate() {
+                sums[0] += own[j] * weighted[j];
+                sums[1] += own[j] * image[j];
+            }
+        });
+        let values: Vec<f64> = quotients.chunks_exact(2).map(|sums| sums[1] / sums[0]).collect();
+        let rests = pencil.sums(&self.vectors, k, 1, |row, image, weighted, sums| {
+            for (j, sum) in sums.iter_mut().enumerate() {
+                *sum += (image[j] - values[j] * weighted[j]).powi(2) / diagonal[row];
+            }
+        });
+        let mut largest = vec![0.0f64; k];
+        for row in self.vectors.chunks_exact(k) {
+            for (largest, &x) in largest.iter_mut().zip(row) {
+                if x.abs() > largest.abs() * (1.0 + 1e-9) {
+                    *largest = x;
                 }
-                let value = energy / norm;
-                let rest: f64 =
-                    (0..pencil.n).map(|row| (column(&images, row) - value * column(&mass_images, row)).powi(2) / diagonal[row]).sum();
-                (value, (rest / norm).sqrt(), largest.signum() / norm.sqrt())
+            }
+        }
+        let columns: Vec<(f64, f64, f64)> = (0..k)
+            .map(|j| {
+                let norm = quotients[2 * j];
+                (values[j], (rests[j] / norm).sqrt(), largest[j].signum() / norm.sqrt())
             })
             .collect();
         if let Some(j) = columns.iter().position(|&(value, rest, scale)| !(value.is_finite() && rest.is_finite() && scale.is_finite())) {
@@ -828,8 +877,13 @@ impl Eigenpairs {
         order.sort_by(|&a, &b| columns[a].0.total_cmp(&columns[b].0));
         self.values = order.iter().map(|&j| columns[j].0).collect();
         self.residuals = order.iter().map(|&j| columns[j].1).collect();
-        self.vectors =
-            self.vectors.par_chunks(k).flat_map_iter(|row| order.iter().map(|&j| row[j] * columns[j].2).collect::<Vec<_>>()).collect();
+        self.vectors.par_chunks_mut(ROWS * k).for_each(|rows| {
+            let mut old = vec![0.0; k];
+            for row in rows.chunks_exact_mut(k) {
+                old.copy_from_slice(row);
+                row.iter_mut().zip(&order).for_each(|(number, &j)| *number = old[j] * columns[j].2);
+            }
+        });
         Ok(self)
     }
 }
