@@ -665,6 +665,65 @@ def game(options: Options) -> int:
     return DONE if r.converged else _unfinished(r)
 
 
+def _skeleton_options(parser: argparse.ArgumentParser) -> None:
+    _input(parser)
+    _look(parser)
+    parser.add_argument("-o", "--out", action="append", metavar="OUT", help=".swc (trees), .obj (lines), .npz, .png or .html; repeatable")
+    parser.add_argument("--function", help="eigenfunction (the default), geodesic, or a field of the file or a file of numbers")
+    parser.add_argument("--source", type=int, help="the vertex that --function geodesic measures from")
+    parser.add_argument("--shortest-limb", type=float, default=0.04, help="limbs below this share of the function's length are cut (0.04)")
+    parser.add_argument("--remove-outliers", action="store_true", help="clouds: leave out points far from their neighbours")
+    parser.add_argument("--one-piece", action="store_true", help="refuse a shape of several connected pieces")
+    _cloud_options(parser)
+
+
+@command("skeleton", "a curve along the middle: the Reeb graph of the first eigenfunction", _skeleton_options)
+def skeleton(options: Options) -> int:
+    for name in options.out or []:
+        if Path(name).suffix.lower() not in (".swc", ".obj", ".npz", ".png", ".html"):
+            raise InputError(f"{name}: a skeleton can be written to .swc, .obj, .npz, .png or .html")
+    shape, look = _distinct(options), _looks(options)
+    function: Any = options.function
+    if function not in (None, "eigenfunction", "geodesic"):
+        function, _ = _values(function, shape)
+    r = bt.skeleton(
+        shape,
+        function=function,
+        source=options.source,
+        components=not options.one_piece,
+        shortest_limb=options.shortest_limb,
+        remove_outliers=options.remove_outliers,
+        progress=Bar("skeleton"),
+    )
+    rows = [
+        (k, f"{limb[0]} - {limb[-1]}", len(limb), length, float(np.median(r.radii[limb])))
+        for k, (limb, length) in enumerate(zip(r.limbs, r.lengths, strict=True))
+    ]
+    table(rows, ("limb", "ends", "nodes", "length", "radius"))
+    print()
+    low, high = r.stability
+    table(
+        [
+            ("nodes", len(r.nodes)),
+            ("leaves", r.leaves),
+            ("cycles", r.cycles),
+            ("pieces", int(r.components.max()) + 1),
+            ("limbs cut", len(r.cut)),
+            ("loops cancelled, greatest height", f"{len(r.cancelled)}, {low:.4g}"),
+            ("least height of a loop", f"{high:.4g}"),
+        ]
+    )
+    for note in r.notes:
+        print(f"note: {note}")
+    for name in options.out or []:
+        if Path(name).suffix.lower() in (".png", ".html"):
+            r.plot(path=name, **look)
+        else:
+            r.save(name)
+        print(f"wrote {name}")
+    return DONE
+
+
 def _plot_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)

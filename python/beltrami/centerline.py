@@ -36,8 +36,11 @@ class Drawing:
         return chain[0] == chain[-1] and chain[0] not in self.joints
 
 
-def draw(simple: SimplifiedGraph, spacing: float) -> Drawing:
-    """Chooses the contours that become nodes: not those bent by a joint, not those at the very tip, none too dense."""
+def draw(simple: SimplifiedGraph, spacing: float, is_open: bool) -> Drawing:
+    """Chooses the contours that become nodes: not those bent by a joint, not those at the very tip, none too dense.
+
+    Where a surface is open the last contours before its rim are arcs; they are much shorter than those that follow.
+    """
     graph = simple.graph
     centers, radii = graph.centers, graph.radii
     degree = simple.degrees()
@@ -60,7 +63,8 @@ def draw(simple: SimplifiedGraph, spacing: float) -> Drawing:
     chains = []
     for limb in simple.limbs:
         groups = np.asarray(limb.groups)
-        chosen = _chosen(centers[groups], radii[groups], [degree[end] for end in limb.ends], limb.ends[0] == limb.ends[1], spacing)
+        degrees, ring = [degree[end] for end in limb.ends], limb.ends[0] == limb.ends[1]
+        chosen = _chosen(centers[groups], radii[groups], graph.length[groups], degrees, ring, is_open, spacing)
         numbers = list(range(len(nodes), len(nodes) + len(chosen)))
         nodes += list(centers[groups[chosen]])
         widths += radii[groups[chosen]].tolist()
@@ -96,7 +100,7 @@ def _end_width(radii: Floats, x: Floats, end: int) -> float:
     return width
 
 
-def _chosen(x: Floats, radii: Floats, degrees: list[int], ring: bool, spacing: float) -> Indices:
+def _chosen(x: Floats, radii: Floats, lengths: Floats, degrees: list[int], ring: bool, is_open: bool, spacing: float) -> Indices:
     """Places in a limb whose contours become nodes."""
     travelled = _travelled(x)
     total = float(travelled[-1])
@@ -109,6 +113,10 @@ def _chosen(x: Floats, radii: Floats, degrees: list[int], ring: bool, spacing: f
             allowed &= (ahead > 2 * width) | (radii < 1.4 * width)
         elif degree == 1:
             allowed &= ahead >= min(width, 0.4 * total)
+            if is_open:
+                short = (lengths if end == 0 else lengths[::-1]) < 0.9 * float(np.median(lengths[lengths > 0.1 * lengths.max()]))
+                arcs = min(int(np.argmin(short)), len(x) // 3)
+                allowed[np.arange(arcs) if end == 0 else len(x) - 1 - np.arange(arcs)] = False
     need = 3 if ring else 2 if min(degrees) == 1 else 1
     if allowed.sum() < need:
         allowed[np.argsort(np.abs(travelled - total / 2), kind="stable")[:need]] = True

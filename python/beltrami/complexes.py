@@ -91,7 +91,10 @@ def _denoised(points: Floats) -> tuple[Floats, Indices, int]:
     def share(neighbors: int) -> float:
         return float(np.median(_plane_fits(points, sample, neighbors)[2]))
 
-    if points.shape[1] != 3 or count < 100 or share(8) < NOISY:
+    if points.shape[1] != 3 or count < 200:
+        return points, everyone, 0
+    near = share(8)
+    if near < NOISY or share(24) > 2.5 * near:  # bending grows with the number of neighbours, noise does not
         return points, everyone, 0
     sizes = [size for size in (24, 32, 48, 64, 96, 128, 192) if size <= count // 8]
     if not sizes:

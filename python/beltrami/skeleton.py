@@ -28,6 +28,8 @@ from .view import Page, Picture
 __all__ = ["SkeletonResult", "skeleton"]
 
 MULTIPLE = 1.15  # eigenvalues up to this factor of the first count as copies of it
+IDLE = 0.05  # share of the area with slopes below a tenth of the mean, beyond which another eigenfunction may be added
+GAIN = 1.35  # in the mean logarithm of squared slopes that justifies it: 1.5 to 3 for limbs in the nodal set, up to 1.3 else
 
 
 # --- the result ------------------------------------------------------------------------------------------------------------------------
@@ -157,21 +159,22 @@ class SkeletonResult:
             graph.add_edge(a, b, length=length)
         return graph
 
+    def drawn(self) -> dict[str, Any]:
+        """Options of :func:`beltrami.plot` that show the skeleton: its curves, its joints and tips, a transparent shape."""
+        special = self.degrees != 2
+        options: dict[str, Any] = {"lines": self.polylines(), "transparency": 0.75, "color": "#b9c4d0"}
+        if special.any():
+            options["points"] = self.nodes[special]
+        if isinstance(self.shape, PointCloud):
+            sample = self.shape.points[:: max(1, len(self.shape.points) // 500)]
+            options["radius"] = 0.2 * float(np.median(nearest_neighbors(self.shape.points, sample, 7)[1][:, -1]))
+        return options
+
     def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the skeleton inside the transparent shape; the options are those of :func:`beltrami.plot`."""
         from .view import plot
 
-        drawn = {
-            "lines": self.polylines(),
-            "points": self.nodes[self.degrees != 2] if (self.degrees != 2).any() else None,
-            "transparency": 0.75,
-            "color": "#b9c4d0",
-            **options,
-        }
-        if isinstance(self.shape, PointCloud) and "radius" not in options:
-            distances = nearest_neighbors(self.shape.points, self.shape.points[:: max(1, len(self.shape.points) // 500)], 7)[1]
-            drawn["radius"] = 0.2 * float(np.median(distances[:, -1]))
-        return plot(self.shape, path=path, **drawn)
+        return plot(self.shape, path=path, **{**self.drawn(), **options})
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes the graph: ``.swc`` (trees), ``.obj`` with lines, ``.npz`` with everything; a picture to ``.png`` or ``.html``.
@@ -341,13 +344,9 @@ def skeleton(
         members = np.flatnonzero(labels == name)
         piece = complex_ if len(members) == len(labels) else _restricted(complex_, members)
         if values is None:
-            f, found = _first_function(piece, part(report, 0.4, 0.7))
+            f, found = _first_function(piece, notes, part(report, 0.4, 0.7))
             if name == 0:
                 eigenvalues = found
-            copies = int((found <= MULTIPLE * found[0]).sum())
-            if copies > 1:
-                gap = found[copies - 1] / found[0] - 1
-                notes.append(f"the first {copies} eigenvalues lie within {100 * gap:.1g} %: their most even combination is taken")
             function_out[piece.origin] = f
         else:
             f = np.ascontiguousarray(values[piece.origin])
@@ -357,34 +356,68 @@ def skeleton(
     return _assembled(given, complex_, labels, parts, function_out, eigenvalues, notes)
 
 
-def _first_function(complex_: Complex, report: Any) -> tuple[Floats, Floats]:
-    """φ_1 of a connected complex, and the eigenvalues. Of a multiple λ_1 the combination that changes most evenly.
+class _Evenness:
+    """How evenly functions change over a surface: the mean over its area of the logarithm of the mean squared slope around each vertex."""
 
-    Evenly: the mean over the vertices of the logarithm of the mean squared slope around each is greatest, so that no part lies
-    within one level.
-    """
+    def __init__(self, complex_: Complex) -> None:
+        self.ends = complex_.edges.T
+        steps = complex_.points[self.ends[0]] - complex_.points[self.ends[1]]
+        self.inverse = 1 / np.maximum(np.einsum("ed,ed->e", steps, steps), 1e-300)
+        self.count, self.share = len(complex_.mass), complex_.mass / complex_.mass.sum()
+        self.degrees = np.maximum(sum(np.bincount(end, minlength=self.count) for end in self.ends), 1)
+
+    def products(self, f: Floats, g: Floats) -> Floats:
+        """(n,): the mean product of the slopes of two functions along the edges at each vertex."""
+        a, b = self.ends
+        product = (f[a] - f[b]) * (g[a] - g[b]) * self.inverse
+        found: Floats = (np.bincount(a, product, self.count) + np.bincount(b, product, self.count)) / self.degrees
+        return found
+
+    def score(self, squares: Floats) -> float:
+        """Of the squared slopes; parts without slope count as if it were a thousandth of the others'."""
+        return float(self.share @ np.log(np.maximum(squares, 0) + 1e-6 * squares.mean()))
+
+
+def _first_function(complex_: Complex, notes: list[str], report: Any) -> tuple[Floats, Floats]:
+    """φ_1 of a connected complex, and the eigenvalues. Of a multiple λ_1 the combination that changes most evenly; and where a limb
+    lies in the set where φ_1 vanishes (the stem of a T), with an admixture of another eigenfunction that changes along it."""
     count = min(7, len(complex_.mass))
     matrix = arrays.csr_in(complex_.stiffness, "the stiffness")
     pairs = _core.eigenpairs(matrix, complex_.mass, None, count, None, complex_.points, None, report)
-    values = pairs[0][1:]
+    values, functions = pairs[0][1:], pairs[1][:, 1:]
     copies = int((values <= MULTIPLE * values[0]).sum())
-    space = pairs[1][:, 1 : 1 + copies]
-    if copies == 1:
-        return space[:, 0].copy(), values
-    a, b = complex_.edges.T
-    steps = complex_.points[a] - complex_.points[b]
-    inverse = 1 / np.maximum(np.einsum("ed,ed->e", steps, steps), 1e-300)
-    slopes, n = space[a] - space[b], len(space)
-    degrees = np.maximum(np.bincount(a, minlength=n) + np.bincount(b, minlength=n), 1)
-    products = np.empty((n, copies, copies))
+    even = _Evenness(complex_)
+    found = functions[:, 0]
+    if copies > 1:
+        found = functions[:, :copies] @ _most_even(even, functions[:, :copies])
+        gap = 100 * (values[copies - 1] / values[0] - 1)
+        notes.append(f"the first {copies} eigenvalues lie within {gap:.2g} %: their most even combination is taken")
+    squares = even.products(found, found)
+    idle = float(even.share[squares < 0.01 * squares.mean()].sum())
+    if idle > IDLE:
+        base = even.score(squares)
+        tries = [(weight, number) for number in range(copies, len(values)) for weight in (-0.4, -0.2, 0.2, 0.4)]
+        mixed = [found + weight * functions[:, number] for weight, number in tries]
+        scores = [even.score(even.products(f, f)) for f in mixed]
+        best = int(np.argmax(scores)) if scores else -1
+        if best >= 0 and scores[best] - base > GAIN:
+            found = mixed[best]
+            what = f"{tries[best][0]} times eigenfunction {tries[best][1] + 1} was added"
+            notes.append(f"the eigenfunction is nearly constant on {100 * idle:.0f} % of the surface: {what}")
+    sign = 1.0 if found[np.argmax(np.abs(found))] > 0 else -1.0
+    return sign * found, values
+
+
+def _most_even(even: _Evenness, space: Floats) -> Floats:
+    """The combination of some functions, a unit vector, that changes most evenly."""
+    copies = space.shape[1]
+    products = np.empty((len(space), copies, copies))
     for i in range(copies):
         for j in range(i, copies):
-            product = slopes[:, i] * slopes[:, j] * inverse
-            products[:, i, j] = products[:, j, i] = (np.bincount(a, product, n) + np.bincount(b, product, n)) / degrees
+            products[:, i, j] = products[:, j, i] = even.products(space[:, i], space[:, j])
 
     def score(weights: Floats) -> float:
-        squares = np.einsum("nij,i,j->n", products, weights, weights)
-        return float(np.log(np.maximum(squares, 0) + 1e-6 * squares.mean()).mean())
+        return even.score(products.reshape(len(space), -1) @ np.outer(weights, weights).ravel())
 
     if copies == 2:
         angles = np.arange(24) * np.pi / 24
@@ -403,8 +436,7 @@ def _first_function(complex_: Complex, report: Any) -> tuple[Floats, Floats]:
             best, top = moves[int(np.argmax(scores))], max(scores)
         else:
             step /= 2
-    found = space @ best
-    return found * (1.0 if found[np.argmax(np.abs(found))] > 0 else -1.0), values
+    return np.asarray(best, np.float64)
 
 
 def _values(given: Shape, function: Any, source: int | None, count: int, report: Any) -> Floats | None:
@@ -491,7 +523,7 @@ def _one(complex_: Complex, values: Floats, shape: Shape, shortest_limb: float, 
     simple = SimplifiedGraph(graph)
     simple.prune(shortest_limb * length)
     simple.contract()
-    drawing = draw(simple, complex_.spacing)
+    drawing = draw(simple, complex_.spacing, isinstance(shape, TriangleMesh) and not shape.is_closed)
     first = np.full(graph.regions, -1)
     first[graph.group_below] = np.arange(len(graph.group_below))
     first[graph.group_above] = np.arange(len(graph.group_above))

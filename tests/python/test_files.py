@@ -382,8 +382,24 @@ def test_what_meshio_writes_and_reads(tmp_path, bumpy, name):
 
 
 def test_big_endian_polygons_and_every_type_of_ply(tmp_path):
-    kinds = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
-             "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
+    kinds = {
+        "char": "i1",
+        "uchar": "u1",
+        "short": "i2",
+        "ushort": "u2",
+        "int": "i4",
+        "uint": "u4",
+        "float": "f4",
+        "double": "f8",
+        "int8": "i1",
+        "uint8": "u1",
+        "int16": "i2",
+        "uint16": "u2",
+        "int32": "i4",
+        "uint32": "u4",
+        "float32": "f4",
+        "float64": "f8",
+    }
     rng = np.random.default_rng(5)
     for order, mark in (("little", "<"), ("big", ">")):
         for length, corner in (("uchar", "int"), ("int", "ushort"), ("uint8", "uint32"), ("ushort", "short")):

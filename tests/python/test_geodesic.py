@@ -128,9 +128,7 @@ def test_bad_sources(sources):
         bt.geodesic_distance(bt.shapes.sphere(3), sources)
 
 
-@pytest.mark.parametrize(
-    "factor", [0, -1, np.nan, np.inf, "x", 10**400, 1j, np.complex128(1), np.array(1j), [1.0], np.ones(1), None]
-)
+@pytest.mark.parametrize("factor", [0, -1, np.nan, np.inf, "x", 10**400, 1j, np.complex128(1), np.array(1j), [1.0], np.ones(1), None])
 def test_bad_time(factor):
     with pytest.raises(bt.InputError):
         bt.geodesic_distance(bt.shapes.sphere(1), 0, time_factor=factor)

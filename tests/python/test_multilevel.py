@@ -17,9 +17,12 @@ def shapes():
     yield "torus in random order", bt.TriangleMesh(torus.vertices[shuffled], place[torus.faces])
     yield "flat torus, stretched", bt.TriangleMesh(torus.vertices * [1.0, 5.0, 1.0], torus.faces)
     ball = bt.shapes.sphere(frequency=40)
-    yield "three pieces", bt.TriangleMesh(
-        np.vstack([torus.vertices, ball.vertices + 5, 1e-3 * ball.vertices - 5]),
-        np.vstack([torus.faces, ball.faces + len(torus.vertices), ball.faces + len(torus.vertices) + len(ball.vertices)]),
+    yield (
+        "three pieces",
+        bt.TriangleMesh(
+            np.vstack([torus.vertices, ball.vertices + 5, 1e-3 * ball.vertices - 5]),
+            np.vstack([torus.faces, ball.faces + len(torus.vertices), ball.faces + len(torus.vertices) + len(ball.vertices)]),
+        ),
     )
 
 

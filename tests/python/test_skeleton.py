@@ -1,20 +1,378 @@
-"""Skeletons: loops, leaves, where nodes lie, what belongs to them, and what is refused."""
+"""Skeletons: loops, leaves, where nodes lie, what belongs to them, what is written, and what is refused."""
 
 from __future__ import annotations
 
+import itertools
+from pathlib import Path
+
 import beltrami as bt
+import numpy as np
 import pytest
+from beltrami.__main__ import main
+from beltrami.complexes import _oriented
+from scipy.spatial import cKDTree
+
+Points = np.ndarray
+
+
+def tube(curves: list[Points], radius: float, count: int, rng: np.random.Generator, noise: float = 0.0) -> tuple[Points, cKDTree]:
+    """Points uniform on the boundary of all that lies within `radius` of polylines, and a tree of the center lines."""
+    pieces = []
+    for curve in curves:
+        for a, b in itertools.pairwise(curve):
+            steps = int(np.linalg.norm(b - a) / (0.05 * radius)) + 2
+            pieces.append(a + np.linspace(0, 1, steps)[:, None] * (b - a))
+    centers = np.concatenate(pieces)
+    tree, found = cKDTree(centers), np.zeros((0, 3))
+    while len(found) < count:
+        normals = rng.normal(size=(20 * count, 3))
+        trial = centers[rng.integers(len(centers), size=20 * count)] + radius * normals / np.linalg.norm(normals, axis=1)[:, None]
+        found = np.concatenate([found, trial[tree.query(trial)[0] > radius * (1 - 1e-7)]])
+    points = found[:count]
+    return points + noise * np.linalg.norm(np.ptp(points, axis=0)) * rng.normal(size=points.shape), tree
+
+
+def circle(center: tuple[float, float, float], count: int = 120) -> Points:
+    t = np.linspace(0, 2 * np.pi, count + 1)
+    return np.stack([np.cos(t), np.sin(t), 0 * t], 1) + center
+
+
+def arms(*ends: tuple[float, float, float]) -> list[Points]:
+    return [np.array([(0.0, 0.0, 0.0), end]) for end in ends]
+
+
+def counted(r: bt.SkeletonResult) -> tuple[int, int, int]:
+    """Pieces, loops and leaves, counted from the edges alone."""
+    graph = r.to_networkx()
+    import networkx
+
+    pieces = networkx.number_connected_components(graph)
+    return pieces, graph.number_of_edges() - graph.number_of_nodes() + pieces, sum(degree == 1 for _, degree in graph.degree)
+
+
+SOLIDS = {
+    "ring": ([circle((0, 0, 0))], 1, 0),
+    "two rings": ([circle((-1, 0, 0)), circle((1, 0, 0))], 2, 0),
+    "Y": (arms((0, -2, 0), (1.5, 1.5, 0), (-1.5, 1.5, 0)), 0, 3),
+}
+
+
+# --- analytic --------------------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("mesh", "loops"),
+    [(bt.shapes.torus(1.0, 0.3), 1), (bt.shapes.figure_eight(), 2), (bt.shapes.triple_torus(), 3), (bt.shapes.knot(), 1)],
+    ids=["torus", "figure eight", "triple torus", "knot"],
+)
+def test_loops_of_meshes_are_their_handles(mesh: bt.TriangleMesh, loops: int) -> None:
+    r = bt.skeleton(mesh)
+    assert (r.cycles, r.leaves) == (loops, 0)
+    assert counted(r) == (1, loops, 0)
+    minima, saddles, maxima = r.critical
+    assert minima - saddles + maxima == mesh.euler_characteristic
+    assert len(r.cancelled) == 0
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_clouds_of_tubes(name: str, noise: float) -> None:
+    curves, loops, leaves = SOLIDS[name]
+    points, tree = tube(curves, 0.3, 3000, np.random.default_rng(1), noise)
+    r = bt.skeleton(bt.PointCloud(points))
+    assert counted(r) == (1, loops, leaves)
+    assert (r.cycles, r.leaves) == (loops, leaves)
+    # a contour of 3,000 points has about 30: its middle is uncertain by some hundredths of the radius, by more with noise
+    assert np.median(tree.query(r.nodes)[0]) < (0.12 if noise else 0.06) * 0.3
+    assert np.median(np.abs(r.radii / 0.3 - 1)) < 0.15
+
+
+def test_a_torus_has_its_circle_in_the_middle() -> None:
+    r = bt.skeleton(bt.shapes.torus(1.0, 0.3, rows=90, columns=24))
+    away = np.hypot(np.hypot(r.nodes[:, 0], r.nodes[:, 1]) - 1.0, r.nodes[:, 2])
+    # in a plane across the circle the section is a circle with 24 corners; what is left is the bending of the polyline
+    assert away.max() < 0.03 * 0.3
+    assert r.radii == pytest.approx(0.3, rel=0.02)
+    assert r.lengths.sum() == pytest.approx(2 * np.pi, rel=0.01)
+    [line] = r.polylines()
+    assert np.array_equal(line[0], line[-1])
+
+
+def test_a_cylinder_is_a_segment() -> None:
+    mesh = bt.shapes.cylinder(0.2, 3.0, closed=True)
+    r = bt.skeleton(mesh)
+    assert (r.leaves, r.cycles, len(r.limbs)) == (2, 0, 1)
+    assert np.hypot(r.nodes[:, 0], r.nodes[:, 1]).max() < 0.02 * 0.2
+    ends = np.sort(r.nodes[r.degrees == 1][:, 2])
+    assert ends == pytest.approx([-1.3, 1.3], abs=0.1)  # a radius from the lids
+
+
+def test_parts_a_spacing_apart_are_told_apart_by_normals() -> None:
+    """Two parallel tubes joined at one end: the gap is 0.6 of a radius, the points' spacing 0.4."""
+    hairpin = [np.array([(-1.3, 0, 0), (-1.3, 6, 0)]), np.array([(-1.3, 0, 0), (1.3, 0, 0)]), np.array([(1.3, 0, 0), (1.3, 6, 0)])]
+    points, tree = tube(hairpin, 1.0, 1500, np.random.default_rng(3))
+    normals, seam = _oriented(points)
+    outward = points - tree.data[tree.query(points)[1]]
+    assert (np.einsum("nd,nd->n", normals, outward) > 0).mean() > 0.99
+    assert seam < 0.005
+    assert counted(bt.skeleton(bt.PointCloud(points))) == (1, 0, 2)
+
+
+def test_other_functions() -> None:
+    mesh = bt.shapes.figure_eight()
+    assert bt.skeleton(mesh, function=mesh.vertices[:, 0] + 0.1 * mesh.vertices[:, 1]).cycles == 2
+    r = bt.skeleton(mesh, function="geodesic", source=5)
+    assert r.cycles == 2
+    assert r.function[5] == pytest.approx(0.0, abs=1e-6)
+    assert bt.skeleton(mesh, function="geodesic").cycles == 2
+
+
+def test_ties_are_broken_by_number() -> None:
+    """A grid's height takes few values: the count of critical vertices is exact all the same."""
+    mesh = bt.shapes.torus(1.0, 0.4, rows=24, columns=12)
+    r = bt.skeleton(mesh, function=np.round(mesh.vertices[:, 0], 1))
+    minima, saddles, maxima = r.critical
+    assert minima - saddles + maxima == 0
+
+
+@pytest.mark.parametrize(
+    ("ends", "leaves"),
     [
-        (bt.shapes.torus(1.0, 0.3, rows=60, columns=24), 1),
-        (bt.shapes.figure_eight(), 2),
-        (bt.shapes.knot(), 1),
+        ([(-3, 0, 0), (3, 0, 0), (0, 2, 0)], 3),
+        ([(-4, 0, 0), (4, 0, 0), (0, -2.5, 0), (0, 2.5, 0)], 4),
+        ([(-3, 0, 0), (3, 0, 0), (0, -3, 0), (0, 3, 0), (0, 0, -3), (0, 0, 3)], 6),
+    ],
+    ids=["T", "cross", "jack"],
+)
+def test_limbs_where_the_first_eigenfunction_vanishes_are_found(ends: list[tuple[float, float, float]], leaves: int) -> None:
+    points, _ = tube(arms(*ends), 0.3, 4000, np.random.default_rng(2))
+    r = bt.skeleton(bt.PointCloud(points))
+    assert (r.leaves, r.cycles) == (leaves, 0)
+
+
+# --- convergence -----------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_middle_gets_better_with_the_mesh() -> None:
+    errors = []
+    for columns in (8, 12, 16, 24, 32):
+        r = bt.skeleton(bt.shapes.torus(1.0, 0.3, rows=4 * columns, columns=columns))
+        assert r.cycles == 1
+        errors.append(float(np.median(np.abs(r.radii / 0.3 - 1))))
+    slope = np.polyfit(np.log([8, 12, 16, 24, 32]), np.log(errors), 1)[0]
+    assert slope < -1.5  # the sections are polygons: second order
+
+
+# --- properties ------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cloud", [False, True])
+def test_rigid_motion_scale_and_numbering_change_nothing(cloud: bool) -> None:
+    mesh = bt.shapes.star(5, arm_length=2.0, tube_radius=0.25, resolution=6)
+    rng = np.random.default_rng(4)
+    order = rng.permutation(len(mesh.vertices))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+
+    def shape(scale: float) -> bt.TriangleMesh | bt.PointCloud:
+        moved = (scale * mesh.vertices @ turn.T + 3.0 * scale)[order]
+        return bt.PointCloud(moved) if cloud else bt.TriangleMesh(moved, np.argsort(order)[mesh.faces])
+
+    plain = bt.skeleton(bt.PointCloud(mesh.vertices) if cloud else mesh)
+    assert counted(plain) == (1, 0, 5)
+    for scale in (1.0, 1e-6, 1e6):
+        r = bt.skeleton(shape(scale))
+        assert counted(r) == counted(plain)
+        assert np.median(r.radii) / scale == pytest.approx(np.median(plain.radii), rel=0.05)
+
+
+def test_twice_the_same_bits_on_any_number_of_threads() -> None:
+    points, _ = tube(SOLIDS["two rings"][0], 0.3, 2000, np.random.default_rng(5), 0.005)
+    threads = bt.num_threads()
+    try:
+        found = []
+        for count in (1, 3):
+            bt.set_num_threads(count)
+            found.append(bt.skeleton(bt.PointCloud(points)))
+    finally:
+        bt.set_num_threads(threads)
+    for name in ("nodes", "edges", "radii", "node_of_point"):
+        assert np.array_equal(getattr(found[0], name), getattr(found[1], name))
+
+
+def test_points_belong_to_nodes_nearby() -> None:
+    mesh = bt.shapes.star(5, arm_length=2.0, tube_radius=0.25, resolution=8)
+    before = mesh.vertices.copy()
+    r = bt.skeleton(mesh)
+    assert np.array_equal(mesh.vertices, before)
+    assert r.node_of_point.shape == (len(mesh.vertices),)
+    away = np.linalg.norm(mesh.vertices - r.nodes[r.node_of_point], axis=1)
+    assert np.quantile(away, 0.9) < 0.25 * 1.6
+    tips = mesh.vertices[np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1]) > 1.5]
+    assert len(np.unique(r.limb_of_point[np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1]) > 1.5])) == 5
+    assert len(tips) > 100
+
+
+def test_a_limb_that_is_short_is_cut_and_counted() -> None:
+    curves = arms((-3, 0, 0), (3, 0, 0), (0, 0.55, 0))
+    points, _ = tube(curves, 0.3, 4000, np.random.default_rng(6))
+    assert bt.skeleton(bt.PointCloud(points)).leaves == 2
+    longer, _ = tube(arms((-3, 0, 0), (3, 0, 0), (0, 2.0, 0)), 0.3, 4000, np.random.default_rng(6))
+    assert bt.skeleton(bt.PointCloud(longer)).leaves == 3
+    cut = bt.skeleton(bt.PointCloud(longer), shortest_limb=0.6)
+    assert cut.leaves == 2
+    assert len(cut.cut) >= 1
+
+
+def test_multiple_eigenvalues_are_said() -> None:
+    r = bt.skeleton(bt.shapes.torus(1.0, 0.3))
+    assert r.eigenvalues[1] < 1.01 * r.eigenvalues[0]
+    assert any("eigenvalues" in note for note in r.notes)
+
+
+def test_pieces_have_a_skeleton_each() -> None:
+    torus, star = bt.shapes.torus(1.0, 0.3), bt.shapes.star(3, arm_length=2.0, resolution=8)
+    both = bt.TriangleMesh(
+        np.concatenate([torus.vertices, star.vertices + 10.0]), np.concatenate([torus.faces, star.faces + len(torus.vertices)])
+    )
+    r = bt.skeleton(both)
+    assert counted(r) == (2, 1, 3)
+    assert np.array_equal(r.components[r.node_of_point], np.repeat([0, 1], [len(torus.vertices), len(star.vertices)]))
+    with pytest.raises(bt.TopologyError, match="2 connected pieces"):
+        bt.skeleton(both, components=False)
+    cloud = bt.skeleton(bt.PointCloud(both.vertices))
+    assert counted(cloud) == (2, 1, 3)
+
+
+def test_outliers_are_left_out() -> None:
+    points, _ = tube(SOLIDS["Y"][0], 0.3, 3000, np.random.default_rng(7))
+    rng = np.random.default_rng(8)
+    far = np.concatenate([points, rng.uniform(-3, 3, size=(30, 3))])
+    r = bt.skeleton(bt.PointCloud(far), remove_outliers=True)
+    assert counted(r) == (1, 0, 3)
+    assert r.node_of_point.shape == (3030,)
+    assert r.node_of_point.min() >= 0
+
+
+def test_open_meshes_have_skeletons_too() -> None:
+    r = bt.skeleton(bt.shapes.cylinder(0.3, 4.0))
+    assert counted(r) == (1, 0, 2)
+    away = np.hypot(r.nodes[:, 0], r.nodes[:, 1])
+    assert np.median(away) < 0.01
+    assert away.max() < 0.6 * 0.3  # at the rims the function is flat and the last levels are not quite circles
+
+
+# --- peers -----------------------------------------------------------------------------------------------------------------------------
+
+
+def test_networkx_counts_the_same_loops() -> None:
+    networkx = pytest.importorskip("networkx")
+    r = bt.skeleton(bt.shapes.figure_eight())
+    graph = r.to_networkx()
+    assert len(networkx.cycle_basis(graph)) == r.cycles
+    assert sum(length for _, _, length in graph.edges(data="length")) == pytest.approx(r.lengths.sum())
+
+
+# --- files and the command line --------------------------------------------------------------------------------------------------------
+
+
+def test_files(tmp_path: Path) -> None:
+    tree = bt.skeleton(bt.shapes.star(3, arm_length=2.0, resolution=8))
+    rows = [line.split() for line in tree.save(tmp_path / "a.swc").read_text().splitlines() if not line.startswith("#")]
+    assert len(rows) == len(tree.nodes)
+    assert sum(row[6] == "-1" for row in rows) == 1
+    assert all(int(row[6]) < int(row[0]) for row in rows)  # parents come first
+    read = np.array([[float(cell) for cell in row[2:6]] for row in rows])
+    assert np.array_equal(np.sort(read[:, 0]), np.sort(tree.nodes[:, 0]))
+    lines = tree.save(tmp_path / "a.obj").read_text().splitlines()
+    assert sum(line.startswith("v ") for line in lines) == len(tree.nodes)
+    assert sum(line.startswith("l ") for line in lines) == len(tree.limbs)
+    with np.load(tree.save(tmp_path / "a.npz")) as archive:
+        assert np.array_equal(archive["edges"], tree.edges)
+    assert tree.save(tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    ring = bt.skeleton(bt.shapes.torus(1.0, 0.3))
+    with pytest.raises(bt.TopologyError, match="1 cycles"):
+        ring.save(tmp_path / "b.swc")
+    with pytest.raises(bt.InputError, match=r"\.swc, \.obj"):
+        ring.save(tmp_path / "b.stl")
+    with pytest.raises(bt.FileError, match="cannot be written"):
+        ring.save(tmp_path / "missing" / "b.obj")
+
+
+def test_contours_lie_on_the_surface() -> None:
+    r = bt.skeleton(bt.shapes.torus(1.0, 0.3, rows=60, columns=24))
+    for contour in r.contours:
+        if len(contour):
+            away = np.abs(np.hypot(np.hypot(contour[:, 0], contour[:, 1]) - 1, contour[:, 2]) - 0.3)
+            assert away.max() < 0.01
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bt.save(bt.shapes.figure_eight(), tmp_path / "eight.ply")
+    outs = [arg for name in ("a.obj", "a.npz", "a.png") for arg in ("-o", str(tmp_path / name))]
+    assert main(["skeleton", str(tmp_path / "eight.ply"), "--size", "200x150", *outs]) == 0
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["cycles", "2"] in printed
+    assert all((tmp_path / name).is_file() for name in ("a.obj", "a.npz", "a.png"))
+    assert main(["skeleton", str(tmp_path / "eight.ply"), "-o", str(tmp_path / "a.swc")]) == 2
+    assert main(["skeleton", str(tmp_path / "eight.ply"), "-o", str(tmp_path / "a.txt")]) == 2
+
+
+# --- faults ----------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"function": np.zeros(2400)}, "constant"),
+        ({"function": np.full(2400, np.nan)}, "nan"),
+        ({"function": np.zeros(3)}, "shape"),
+        ({"function": "heigth"}, "choose"),
+        ({"source": 3}, "geodesic"),
+        ({"function": "geodesic", "source": 2400}, "source"),
+        ({"shortest_limb": -1.0}, "shortest_limb"),
+        ({"shortest_limb": np.nan}, "shortest_limb"),
     ],
 )
-def test_loops_are_the_handles(mesh: bt.TriangleMesh, loops: int) -> None:
-    for shape in (mesh, bt.PointCloud(mesh.vertices, dimension=2)):
-        r = bt.skeleton(shape)
-        assert (r.cycles, r.leaves) == (loops, 0)
+def test_bad_arguments(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(bt.InputError, match=message):
+        bt.skeleton(bt.shapes.torus(1.0, 0.4), **arguments)  # type: ignore[arg-type]
+
+
+def test_bad_shapes() -> None:
+    with pytest.raises(bt.InputError, match="too few"):
+        bt.skeleton(bt.PointCloud(np.random.default_rng(0).normal(size=(5, 3))))
+    with pytest.raises(bt.InputError, match="too few"):
+        bt.skeleton(bt.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
+    with pytest.raises(bt.InputError, match="dimension"):
+        bt.skeleton(bt.PointCloud(np.random.default_rng(0).normal(size=(50, 3)), dimension=1))
+    with pytest.raises(bt.InputError, match="TriangleMesh"):
+        bt.skeleton(np.zeros((50, 3)))  # type: ignore[arg-type]
+    with pytest.raises(bt.Error):
+        bt.skeleton(bt.PointCloud(np.zeros((50, 3))))
+    with pytest.raises(bt.Error):
+        bt.skeleton(bt.PointCloud(np.stack([np.arange(50.0), np.zeros(50), np.zeros(50)], 1)))
+    with pytest.raises(bt.InputError):
+        bt.skeleton(bt.TriangleMesh(np.random.default_rng(0).normal(size=(20, 3)), np.zeros((0, 3), int)))
+
+
+def test_copies_of_points_do_no_harm() -> None:
+    points, _ = tube(SOLIDS["ring"][0], 0.3, 1500, np.random.default_rng(9))
+    r = bt.skeleton(bt.PointCloud(np.concatenate([points, points[:200]])))
+    assert r.cycles == 1
+    assert np.array_equal(r.node_of_point[1500:], r.node_of_point[:200])
+
+
+def test_stops_on_request() -> None:
+    points, _ = tube(SOLIDS["ring"][0], 0.3, 20000, np.random.default_rng(10))
+    with pytest.raises(bt.Cancelled):
+        bt.skeleton(bt.PointCloud(points), progress=lambda share: False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("name", ["ring", "two rings"])
+def test_twenty_seeds_with_noise(name: str, seed: int) -> None:
+    curves, loops, leaves = SOLIDS[name]
+    points, _ = tube(curves, 0.3, 6000, np.random.default_rng(seed), 0.01)
+    assert counted(bt.skeleton(bt.PointCloud(points))) == (1, loops, leaves)
