@@ -39,6 +39,7 @@ Orientation = Literal["preserving", "reversing", "any"]
 
 BLUR = 0.01  # share of the area over which the factor of a map is averaged
 COARSE_BLUR = 0.3  # the same for the weights of upsampling, where only the factor's main course matters
+CONFORMAL = 0.02  # logarithmic misfit of the landmarks' cross-ratios below which two shapes count as conformal
 ANCHOR = 3.0  # weight of the spherical features beside the bases of a shape of unit area
 TRUSTED = 0.05  # share of sqrt(area) there and back at which the confidence has fallen to 1 / e
 
@@ -339,7 +340,7 @@ def _upsampled(task: _Task, phi: Floats, start: _Candidate, levels: Iterable[int
         if start.anchors is not None:
             left, right = (np.column_stack([x, ANCHOR * y]) for x, y in zip((left, right), start.anchors, strict=True))
         forward, backward = nearest_rows(right, left), nearest_rows(left, right)
-        report(0.6)
+        report(0.5)
     return _candidate(f"{start.name}, upsampled", source, target, forward, backward, start.marks)
 
 
@@ -650,8 +651,9 @@ def register_conformal(
     """Matches two shapes that are far from isometric: point map, conformal factor and bases (equations 8.33 and 8.34).
 
     Several maps are made: for surfaces of genus 0 from their spherical conformal maps, with landmarks, features or the shapes' own
-    tips to fix them, as it is and with its limbs stretched; else from landmarks and features; each refined. The one with the
-    smoothest conformal factor is taken. From its factor the alternation of the paper starts: Ψ by splitting, η by Gauss-Newton.
+    tips to fix them, as it is and with its limbs stretched; else from landmarks and features. The best is refined, and, unless the
+    shapes prove to be conformal, compared with that of :func:`register`. The one with the smoothest conformal factor is taken. From
+    its factor the alternation of the paper starts: Ψ by splitting, η by Gauss-Newton.
 
     Parameters
     ----------
@@ -723,7 +725,7 @@ def register_conformal(
     report = _reporting(progress, "register conformal")
     task = _Task(a, b, marks, tables, generator, orientation, [])
 
-    candidates = _starts(task, start, report)
+    candidates, settled = _starts(task, start, report)
     report(0.4)
     best = min(candidates, key=lambda one: one.roughness)
     size = max(k, min(finest or k, min(counts) // 4))
@@ -734,6 +736,13 @@ def register_conformal(
             candidates.append(_upsampled(task, pairs.functions, best, levels, report))
         except (ConvergenceError, NumericalError) as error:
             task.notes.append(f"not refined: {error}")
+        best = min(candidates, key=lambda one: one.roughness)
+    report(0.6)
+    if not settled:
+        try:
+            candidates.append(_registered_start(task))
+        except (InputError, NumericalError, ConvergenceError) as error:
+            task.notes.append(f"no near-isometric start: {error}")
         best = min(candidates, key=lambda one: one.roughness)
     report(0.7)
 
@@ -775,23 +784,25 @@ def register_conformal(
     )
 
 
-def _starts(task: _Task, start: Start, report: Callable[[float], None]) -> list[_Candidate]:
-    """All maps that apply, at least one."""
+def _starts(task: _Task, start: Start, report: Callable[[float], None]) -> tuple[list[_Candidate], bool]:
+    """All maps that apply, at least one; and whether no other need be tried."""
     found: list[_Candidate] = []
+    settled = start != "auto"
     if start in ("auto", "spherical"):
         spheres = _spheres(task, start == "spherical")
         report(0.1)
         if spheres is not None:
-            found += _spherical_starts(task, spheres, report)
+            found, conformal = _spherical_starts(task, spheres, report)
+            settled |= conformal
             if not found:
                 task.notes.append("nothing fixes the spherical maps on one another: no landmarks, no features, hardly any limb")
     if start == "landmarks" or (start == "auto" and not found and (len(task.marks) or task.tables is not None)):
         if not len(task.marks) and task.tables is None:
             raise InputError("start='landmarks' needs landmarks= or features=")
         found.append(_spectral_start(task))
-    if start == "register" or not found:
-        found.append(_registered_start(task))
-    return found
+    if not found:
+        return [_registered_start(task)], True
+    return found, settled or task.orientation != "preserving"
 
 
 def _spheres(task: _Task, needed: bool) -> tuple[SphericalMapResult, SphericalMapResult] | None:
@@ -812,8 +823,10 @@ def _spheres(task: _Task, needed: bool) -> tuple[SphericalMapResult, SphericalMa
 
 def _spherical_starts(
     task: _Task, spheres: tuple[SphericalMapResult, SphericalMapResult], report: Callable[[float], None]
-) -> list[_Candidate]:
+) -> tuple[list[_Candidate], bool]:
+    """Maps through the spheres; and whether the shapes turned out to be conformal, so that no other map need be tried."""
     found: list[_Candidate] = []
+    settled = False
     sides = {"preserving": [False], "reversing": [True], "any": [False, True]}[task.orientation]
     for mirrored in sides:
         a, b = Sphered.of(task.source, spheres[0]), Sphered.of(task.target, spheres[1], mirrored=mirrored)
@@ -833,11 +846,11 @@ def _spherical_starts(
                 images = nearest_rows(b.sphere, turned.positions[spread])
                 choices.append(limbs.distinct(np.concatenate([task.marks, np.stack([spread, images], 1)])))
         made: list[_Candidate] = []
+        name = "spherical, mirrored" if mirrored else "spherical"
         for marks in choices:
             if len(marks) < 3:
                 continue
             marks = limbs.without_outliers(a, b, limbs.paired_tips(a, b, marks), len(task.marks))
-            name = "spherical, mirrored" if mirrored else "spherical"
             first, second = limbs.features(a, b, marks)
             for how, other in ((name, second), (f"{name}, limbs stretched", limbs.stretched(a, b, marks, first, second))):
                 forward, backward = nearest_rows(other, first), nearest_rows(first, other)
@@ -845,7 +858,8 @@ def _spherical_starts(
                 report(0.2)
         made.sort(key=lambda one: one.roughness)
         found += made[:2]
-    return found
+        settled |= bool(made) and made[0].name == name and limbs.misfit(a, b, made[0].marks) < CONFORMAL
+    return found, settled
 
 
 def _feature_pairs(task: _Task, most: int = 1000) -> Indices:

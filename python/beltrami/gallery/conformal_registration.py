@@ -63,7 +63,7 @@ def known(sheet: Sheet) -> None:
         (spot, height, "A function on Spot", "Height above ground."),
         (inverted, r.push_forward(height), "The same on the image", "Brought over by the map."),
     ):
-        sheet.picture(shape, {"height": values}, title=title, caption=caption, contours=lines, views=["three-quarter"], size=(1600, 900))
+        sheet.picture(shape, {"height": values}, title=title, caption=caption, contours=lines, views=["right"], size=(1600, 900))
 
 
 @section("A cortex and its sphere")
