@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from . import arrays
 from .arrays import Floats
-from .continuity import COARSE, PEAKED, Model, Problem, Splitting, Surface, looks, travel
+from .continuity import COARSE, Model, Problem, Scales, Splitting, Surface, coarser, looks, travel
 from .costs import Lagrangian
 from .errors import InputError
 from .operators import Operators
@@ -221,26 +221,24 @@ def wasserstein_barycenter(
         return BarycenterResult(surface.operators.shape, given[0].copy(), share, 0.0, 0.0, 0.0, np.zeros(count), paths, 0, True, none)
     middle = np.tensordot(share, np.stack(given), 1)
     scale = float(np.mean([Problem(surface, density, None, n).concentration for density in given]))
-    unit = max(travel(Problem(surface, density, middle, n, memory=limit)) for density in given)
+    unit = max(travel(Problem(surface, density, middle, n, memory=limit)).length for density in given)
 
     def models(intervals: int) -> list[Model]:
         made = []
         for density, weight in zip(given, share, strict=True):
             problem = Problem(surface, density, None, intervals, Lagrangian(2.0, float(weight * count)), memory=limit, scale=scale)
-            made.append(Model(problem, intervals, unit))
+            made.append(Model(problem, intervals, Scales(unit, 1.0)))
             if len(made) > 1:
                 made[-1].projection = made[0].projection  # the same equation
         return made
 
     watch = _Watch(progress, "barycenter", wished)
     joint: _Joint | None = None
-    if scale > PEAKED * surface.mass @ given[0]:
-        for coarse in (4, 8, 16):
-            if 2 * coarse > n:
-                break
-            joint = _Joint(models(coarse), joint)
-            for _ in range(COARSE):
-                joint.iterate()
+    for few in coarser(n):
+        joint = _Joint(models(few), joint)
+        for _ in range(COARSE):
+            joint.iterate()
+            watch(1.0, 0.0)
     joint = _Joint(models(n), joint)
     stops, history = set(looks(most)), []
     upper, lower, gap = np.inf, -np.inf, np.inf
@@ -256,7 +254,7 @@ def wasserstein_barycenter(
             lower = max(lower, joint.bound())
             gap = max(upper - lower, 0.0) / max(upper, 1e-300) if np.isfinite(upper) and np.isfinite(lower) else np.inf
             history.append((iteration, upper, lower, gap))
-        watch(gap, iteration / most)
+        watch(min(gap, 1.0), iteration / most)
         if gap <= wished:
             break
     model = joint.models[0]

@@ -155,22 +155,31 @@ class _InUnits(Cost):
         return self.cost.conjugate(slope * self.unit) / (self.density * self.unit)
 
 
-class Model:
-    """The problem without units: lengths in ``unit`` times the root of the area."""
+@dataclass(frozen=True)
+class Scales:
+    """Units of the problem without units: ``length`` in roots of the area, and the ``weight`` of moving, where the mass moves."""
 
-    def __init__(self, problem: Problem, intervals: int, unit: float, end_weight: float | None = None) -> None:
+    length: float
+    weight: float
+
+
+class Model:
+    """The problem without units."""
+
+    def __init__(self, problem: Problem, intervals: int, scales: Scales, end_weight: float | None = None) -> None:
         surface = self.surface = problem.surface
+        unit = scales.length
         self.problem, self.n, self.unit = problem, intervals, unit
         self.power = problem.lagrangian.exponent
         self.density = problem.concentration
         self.speed = surface.length * unit  # of the user's units of length, in unit time
-        self.cost_unit = self.speed**self.power  # of a unit of mass
+        self.cost_unit = self.speed**self.power * scales.weight  # of a unit of mass
         self.value_unit = self.density * surface.total * self.cost_unit
         self.mass = surface.mass
         self.start = problem.start / self.density
         self.end = None if problem.end is None else problem.end / self.density
         self.masses = problem.masses / self.density
-        self.weights = np.ascontiguousarray(problem.lagrangian.weights(len(surface.corners)))
+        self.weights = np.ascontiguousarray(problem.lagrangian.weights(len(surface.corners)) / scales.weight)
         self.domain = surface.domain(unit)
         scaled = [None if cost is None else _InUnits(cost, self.density, self.cost_unit) for cost in (problem.running, problem.terminal)]
         self.running, terminal = scaled
@@ -243,8 +252,9 @@ class Model:
 
     # --- the objective ------------------------------------------------------------------------------------------------------------
 
-    def kinetic(self, density: Floats, momentum: Floats) -> float:
+    def kinetic(self, density: Floats, momentum: Floats, weights: Floats | None = None) -> float:
         """Cost of moving; infinite where something moves without mass."""
+        weights = self.weights if weights is None else weights
         rho, square = self.densities(density), self.squares(momentum)
         if ((rho <= 0) & (square > 0)).any():
             return np.inf
@@ -252,7 +262,7 @@ class Model:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             values = square / rho if q == 2 else square ** (q / 2) * rho ** (1 - q)
         values = np.where(square > 0, values, 0.0)
-        return float((values @ (self.surface.areas * self.weights)).sum()) / (q * self.n)
+        return float((values @ (self.surface.areas * weights)).sum()) / (q * self.n)
 
     def standing(self, density: Floats) -> float:
         """Running and terminal costs."""
@@ -526,7 +536,8 @@ class Splitting:
         self.model = model
         q = model.density / model.problem.mass  # how much denser than the mean the mass is
         stiff = model.running is not None and model.running.superlinear
-        kappa, ratio = (1.0, q) if stiff else (NONNEGATIVE, 0.25 * q)  # the ratio of the dual to the primal step
+        # the ratio of the dual to the primal step
+        kappa, ratio = (1.0, q) if stiff else (NONNEGATIVE, q * min(0.25, 0.05 * max(1.0, q / 4)))
         self.tau, self.sigma = float(np.sqrt(1 / (ratio * (1 + kappa**2)))), float(np.sqrt(ratio / (1 + kappa**2)))
         self.kappa = np.full((model.last_slice, 1), kappa)  # of the slices that are free
         if model.end is None:
@@ -723,39 +734,46 @@ class Certificate:
 
 def looks(most: int) -> list[int]:
     """After how many iterations the bounds are worked out."""
-    at, found = 16.0, []
+    at, found = 8.0, []
     while at < most:
         found.append(round(at))
         at = max(at * 1.3, at + 8)
     return [*found, most]
 
 
-def travel(problem: Problem, iterations: int = 40) -> float:
-    """How far mass goes, in roots of the area: from a short run with few intervals."""
-    model = Model(problem, min(problem.intervals, 4), 0.5)
+def travel(problem: Problem, iterations: int = 40) -> Scales:
+    """How far mass goes, and over which weights: from a short run with few intervals."""
+    weights = problem.lagrangian.weights(len(problem.surface.corners))
+    model = Model(problem, min(problem.intervals, 4), Scales(0.5, float(np.median(weights))))
     run = Splitting(model)
     for _ in range(iterations):
         run.iterate()
     found = Certificate(model)
     found.look(run.state(), iterations, 0.0)
-    q = model.power
+    q, mass = model.power, float(model.masses.sum())
+    energy = model.kinetic(found.density, found.momentum)
+    level = np.ones_like(model.weights)
+    plain = model.kinetic(found.density, found.momentum, level)
+    if not (np.isfinite(plain) and plain > 0):
+        return Scales(1e-3, float(np.median(weights)))
+    weight = float(np.clip(energy / plain, model.weights.min(), model.weights.max()))
     if model.running is None and model.last is None:
-        energy = float(np.sqrt(max(found.upper, 0.0) * max(found.lower, 0.05 * found.upper, 0.0)))
-    else:
-        energy = model.kinetic(found.density, found.momentum)
-    mean_weight = float(np.median(model.weights))
-    distance = (q * energy / (float(model.masses.sum()) * mean_weight)) ** (1 / q) * 0.5 if energy > 0 else 0.0
-    return float(np.clip(distance, 1e-3, 10.0))
+        plain *= float(np.sqrt(np.clip(found.lower / found.upper, 0.05, 1.0)))  # the run is short: between its two bounds
+    return Scales(float(np.clip(0.5 * (q * plain / mass) ** (1 / q), 1e-3, 10.0)), weight * float(np.median(weights)))
 
 
-PEAKED = 4.0  # times the mean density where the mass is: above it the run begins with few intervals
-COARSE = 30  # iterations with each of them
+COARSE = 20  # iterations with few intervals, of each number, before those with all
+
+
+def coarser(intervals: int) -> list[int]:
+    """Numbers of intervals to begin with."""
+    return [few for few in (4, 8, 16, 32, 64) if 2 * few <= intervals]
 
 
 def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Callable[[float, float], None]) -> tuple[Certificate, int]:
     """Iterates until the certified gap is below the tolerance, or ``most`` times."""
-    unit = travel(problem)
-    model = Model(problem, problem.intervals, unit, 1.0 if method == "projected_gradient" else None)
+    scales = travel(problem)
+    model = Model(problem, problem.intervals, scales, 1.0 if method == "projected_gradient" else None)
     certificate = Certificate(model)
     line = model.line()
     if problem.end is not None:
@@ -769,13 +787,11 @@ def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Cal
         run = Gradient(model)
     else:
         before = None
-        if model.density > PEAKED * problem.mass:
-            for intervals in (4, 8, 16):
-                if 2 * intervals > problem.intervals:
-                    break
-                before = Splitting(Model(problem, intervals, unit), start=before)
-                for _ in range(COARSE):
-                    before.iterate()
+        for few in coarser(problem.intervals):
+            before = Splitting(Model(problem, few, scales), start=before)
+            for _ in range(COARSE):
+                before.iterate()
+                watch(1.0, 0.0)
         run = Splitting(model, start=before)
     stops = set(looks(most))
     for iteration in range(1, most + 1):
@@ -784,5 +800,5 @@ def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Cal
             certificate.look(run.state(), iteration, tolerance)
             if certificate.gap <= tolerance:
                 break
-        watch(certificate.gap, iteration / most)
+        watch(min(certificate.gap, 1.0), iteration / most)
     return certificate, iteration
