@@ -21,6 +21,9 @@ ROUNDS = 8  # tangents turn as nodes move
 FAT = 0.7  # a limb thinner than this share of another one at the joint ends at a body rather than at a tube
 
 
+_TURN = np.linalg.qr(np.array([[2.0, 1.0, -3.0], [1.0, 4.0, 1.0], [5.0, -1.0, 2.0]]))[0]  # so that rays lie along no axis
+
+
 @dataclass
 class Drawing:
     """Nodes of one component: limbs are chains of node numbers, joints and tips included; a closed one repeats its first node."""
@@ -183,6 +186,15 @@ class Section:
                 if len(mine):
                     self.trees[number] = (mine, cKDTree(mine))
 
+    def holds(self, x: Floats) -> npt.NDArray[np.bool_]:
+        """Which points lie inside the mesh: most rays in six directions leave it."""
+        assert self.mesh is not None
+        directions = np.tile(np.concatenate([np.eye(3), -np.eye(3)]) @ _TURN, (len(x), 1))
+        hits = intersect_rays(self.mesh, np.repeat(x, 6, axis=0), directions)
+        leaves = (hits.faces >= 0) & (self.side * np.einsum("rd,rd->r", self.normals[hits.faces], directions) > 0)
+        inside: npt.NDArray[np.bool_] = leaves.reshape(-1, 6).sum(1) > 3
+        return inside
+
     def frames(self, tangents: Floats) -> tuple[Floats, Floats]:
         """Two unit vectors across each tangent."""
         u = np.cross(tangents, np.eye(3)[np.abs(tangents).argmin(1)])
@@ -228,7 +240,7 @@ def center(drawing: Drawing, section: Section | None) -> None:
     Where a thin limb meets a thick body its way from the surface to the middle of the body is long: nodes are put on it, and the joint
     is centered like a node of the body.
     """
-    noisy = section is None or section.mesh is None
+    noisy, count = section is None or section.mesh is None, len(drawing.nodes)
     for round_ in range(ROUNDS // 2 if noisy else ROUNDS):
         _center_once(drawing, section, noisy)
         if round_ == 1:
@@ -238,6 +250,45 @@ def center(drawing: Drawing, section: Section | None) -> None:
             own = np.asarray([node for node in dict.fromkeys(chain) if node not in drawing.joints])
             if len(own) > 3:
                 drawing.nodes[own] = _smooth(drawing.nodes[own], drawing.radii[own], drawing.is_ring(chain), 0.7)[0]
+    _thin(drawing, count)
+    if section is not None and section.mesh is not None:
+        _inwards(drawing, section)
+
+
+def _thin(drawing: Drawing, count: int) -> None:
+    """Takes out those nodes from ``count`` on that came to lie in the core of a body, beside its joint."""
+    kept = list(range(count))
+    for at, chain in enumerate(drawing.chains):
+        around = [joint for joint in (chain[0], chain[-1]) if joint in drawing.joints]
+        far = [
+            node < count or all(np.linalg.norm(drawing.nodes[node] - drawing.nodes[joint]) > 0.5 * drawing.radii[joint] for joint in around)
+            for node in chain
+        ]
+        drawing.chains[at] = [node for node, stays in zip(chain, far, strict=True) if stays]
+        kept += [node for node in drawing.chains[at] if node >= count]
+    new = {node: number for number, node in enumerate(kept)}
+    drawing.nodes, drawing.radii = drawing.nodes[kept], drawing.radii[kept]
+    drawing.chains = [[new[node] for node in chain] for chain in drawing.chains]
+
+
+def _inwards(drawing: Drawing, section: Section) -> None:
+    """Nodes outside of a closed mesh move halfway to a neighbour that is inside, until they are inside too."""
+    around: dict[int, set[int]] = defaultdict(set)
+    for chain in drawing.chains:
+        for a, b in itertools.pairwise(chain):
+            around[a].add(b)
+            around[b].add(a)
+    everyone = np.arange(len(drawing.nodes))
+    outside = everyone[~section.holds(drawing.nodes)]
+    for _ in range(8):
+        if len(outside) == 0:
+            return
+        lost = set(outside.tolist())
+        for node in outside.tolist():
+            inside = sorted(around[node] - lost)
+            if inside:
+                drawing.nodes[node] = (drawing.nodes[node] + drawing.nodes[inside].mean(0)) / 2
+        outside = outside[~section.holds(drawing.nodes[outside])]
 
 
 def _fill(drawing: Drawing) -> None:
@@ -336,7 +387,8 @@ class _Meeting:
         self.fat = bool(widths[-1] < FAT * self.width)
         # lines that are nearly parallel say little: stay near the ends, of wide limbs above all
         trunk = np.average(drawing.nodes[firsts], axis=0, weights=(widths / self.width) ** 4 + 1e-9)
-        offset = np.linalg.solve(matrix + 0.03 * np.eye(3), right + 0.03 * trunk) - trunk
+        pull = 0.5 if self.fat else 0.03
+        offset = np.linalg.solve(matrix + pull * np.eye(3), right + pull * trunk) - trunk
         place = trunk + offset * min(1.0, 1.5 * self.width / max(float(np.linalg.norm(offset)), 1e-300))
         along = drawing.nodes[firsts[0]] - drawing.nodes[firsts[-1 if len(firsts) == 1 else 1]]
         length = float(np.linalg.norm(along))
