@@ -261,7 +261,7 @@ def _thin(drawing: Drawing, count: int) -> None:
     for at, chain in enumerate(drawing.chains):
         around = [joint for joint in (chain[0], chain[-1]) if joint in drawing.joints]
         far = [
-            node < count or all(np.linalg.norm(drawing.nodes[node] - drawing.nodes[joint]) > 0.5 * drawing.radii[joint] for joint in around)
+            node < count or all(np.linalg.norm(drawing.nodes[node] - drawing.nodes[joint]) > 0.7 * drawing.radii[joint] for joint in around)
             for node in chain
         ]
         drawing.chains[at] = [node for node, stays in zip(chain, far, strict=True) if stays]
