@@ -117,9 +117,9 @@ def _chosen(x: Floats, radii: Floats, lengths: Floats, degrees: list[int], ring:
         elif degree == 1:
             allowed &= ahead >= min(width, 0.4 * total)
             if is_open:
-                short = (lengths if end == 0 else lengths[::-1]) < 0.9 * float(np.median(lengths[lengths > 0.1 * lengths.max()]))
-                arcs = min(int(np.argmin(short)), len(x) // 3)
-                allowed[np.arange(arcs) if end == 0 else len(x) - 1 - np.arange(arcs)] = False
+                near = np.arange(len(x)) < len(x) // 3
+                short = lengths < 0.9 * float(np.median(lengths[lengths > 0.1 * lengths.max()]))
+                allowed &= ~short | ~(near if end == 0 else near[::-1])
     need = 3 if ring else 2 if min(degrees) == 1 else 1
     if allowed.sum() < need:
         allowed[np.argsort(np.abs(travelled - total / 2), kind="stable")[:need]] = True

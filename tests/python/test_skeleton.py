@@ -258,8 +258,9 @@ def test_open_meshes_have_skeletons_too() -> None:
     r = bt.skeleton(bt.shapes.cylinder(0.3, 4.0))
     assert counted(r) == (1, 0, 2)
     away = np.hypot(r.nodes[:, 0], r.nodes[:, 1])
-    assert np.median(away) < 0.01
-    assert away.max() < 0.6 * 0.3  # at the rims the function is flat and the last levels are not quite circles
+    # at the rims, z = ±2, the function is flat and the last levels are no circles
+    assert away[np.abs(r.nodes[:, 2]) < 1.7].max() < 0.1 * 0.3
+    assert away.max() < 0.3
 
 
 # --- peers -----------------------------------------------------------------------------------------------------------------------------
