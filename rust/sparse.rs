@@ -72,6 +72,48 @@ impl Csr {
         Csr { rows, columns, starts, indices, values }
     }
 
+    /// A matrix made row by row, in parallel: `fill(row, work, indices, values)` appends the entries of a row, columns ascending.
+    pub(crate) fn by_rows<W: Default>(
+        rows: usize,
+        columns: usize,
+        fill: impl Fn(usize, &mut W, &mut Vec<u32>, &mut Vec<f64>) + Sync,
+    ) -> Self {
+        let parts: Vec<(Vec<usize>, Vec<u32>, Vec<f64>)> = (0..rows.div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| {
+                let (mut ends, mut indices, mut values) =
+                    (Vec::with_capacity(CHUNK), Vec::with_capacity(8 * CHUNK), Vec::with_capacity(8 * CHUNK));
+                let mut work = W::default();
+                for row in chunk * CHUNK..((chunk + 1) * CHUNK).min(rows) {
+                    fill(row, &mut work, &mut indices, &mut values);
+                    ends.push(indices.len());
+                }
+                (ends, indices, values)
+            })
+            .collect();
+        let mut starts = Vec::with_capacity(rows + 1);
+        starts.push(0);
+        for (ends, _, _) in &parts {
+            let before = starts[starts.len() - 1];
+            starts.extend(ends.iter().map(|end| before + end));
+        }
+        let total = starts[rows];
+        let (mut indices, mut values) = (vec![0; total], vec![0.0; total]);
+        let (mut left_indices, mut left_values) = (indices.as_mut_slice(), values.as_mut_slice());
+        let mut copies = Vec::with_capacity(parts.len());
+        for (_, from_indices, from_values) in &parts {
+            let (to_indices, after_indices) = std::mem::take(&mut left_indices).split_at_mut(from_indices.len());
+            let (to_values, after_values) = std::mem::take(&mut left_values).split_at_mut(from_values.len());
+            copies.push((from_indices, from_values, to_indices, to_values));
+            (left_indices, left_values) = (after_indices, after_values);
+        }
+        copies.into_par_iter().for_each(|(from_indices, from_values, to_indices, to_values)| {
+            to_indices.copy_from_slice(from_indices);
+            to_values.copy_from_slice(from_values);
+        });
+        Csr::trusted(rows, columns, starts, indices, values)
+    }
+
     /// Number of rows.
     pub fn rows(&self) -> usize {
         self.rows
@@ -183,52 +225,31 @@ impl Csr {
                 self.rows, self.columns, other.rows, other.columns
             )));
         }
-        let parts: Vec<(Vec<usize>, Vec<u32>, Vec<f64>)> = (0..self.rows.div_ceil(CHUNK))
-            .into_par_iter()
-            .map(|chunk| {
-                let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(self.rows);
-                let room = self.starts[rows.end] - self.starts[rows.start] + other.starts[rows.end] - other.starts[rows.start];
-                let (mut lengths, mut indices, mut values) =
-                    (Vec::with_capacity(CHUNK), Vec::with_capacity(room), Vec::with_capacity(room));
-                for row in rows {
-                    let ((left, left_values), (right, right_values)) = (self.row(row), other.row(row));
-                    let (mut i, mut j, first) = (0, 0, indices.len());
-                    while i < left.len() || j < right.len() {
-                        let (l, r) = (left.get(i).copied().unwrap_or(u32::MAX), right.get(j).copied().unwrap_or(u32::MAX));
-                        let mut value = 0.0;
-                        if l <= r {
-                            value += a * left_values[i];
-                            i += 1;
-                        }
-                        if r <= l {
-                            value += b * right_values[j];
-                            j += 1;
-                        }
-                        indices.push(l.min(r));
-                        values.push(value);
-                    }
-                    lengths.push(indices.len() - first);
+        let sum = Csr::by_rows(self.rows, self.columns, |row, (): &mut (), indices, values| {
+            let ((left, left_values), (right, right_values)) = (self.row(row), other.row(row));
+            let (mut i, mut j) = (0, 0);
+            while i < left.len() || j < right.len() {
+                let (l, r) = (left.get(i).copied().unwrap_or(u32::MAX), right.get(j).copied().unwrap_or(u32::MAX));
+                let mut value = 0.0;
+                if l <= r {
+                    value += a * left_values[i];
+                    i += 1;
                 }
-                (lengths, indices, values)
-            })
-            .collect();
-        let mut starts = Vec::with_capacity(self.rows + 1);
-        starts.push(0);
-        let (mut indices, mut values) = (Vec::new(), Vec::new());
-        for (lengths, part_indices, part_values) in parts {
-            for length in lengths {
-                starts.push(starts[starts.len() - 1] + length);
+                if r <= l {
+                    value += b * right_values[j];
+                    j += 1;
+                }
+                indices.push(l.min(r));
+                values.push(value);
             }
-            indices.extend(part_indices);
-            values.extend(part_values);
-        }
-        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+        });
+        if let Some(at) = sum.values.iter().position(|value| !value.is_finite()) {
             return Err(Error::numerical(format!(
                 "a sum of two matrices overflows: an entry in column {} is {}; rescale them",
-                indices[at], values[at]
+                sum.indices[at], sum.values[at]
             )));
         }
-        Ok(Csr { rows: self.rows, columns: self.columns, starts, indices, values })
+        Ok(sum)
     }
 
     /// The transposed matrix.
@@ -253,5 +274,19 @@ impl Csr {
             }
         }
         Csr { rows: self.columns, columns: self.rows, starts, indices, values }
+    }
+}
+
+/// Appends (column, value) pairs to a row, columns ascending; values of one column are added up in their order.
+pub(crate) fn append_sums(entries: impl IntoIterator<Item = (u32, f64)>, indices: &mut Vec<u32>, values: &mut Vec<f64>) {
+    let first = indices.len();
+    for (column, value) in entries {
+        match values.last_mut() {
+            Some(last) if indices.len() > first && indices.last() == Some(&column) => *last += value,
+            _ => {
+                indices.push(column);
+                values.push(value);
+            }
+        }
     }
 }

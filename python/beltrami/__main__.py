@@ -70,7 +70,7 @@ def _text(cell: object) -> str:
     if isinstance(cell, bool | np.bool_):
         return "yes" if cell else "no"
     if isinstance(cell, float | np.floating):
-        return f"{cell:.6g}"
+        return f"{cell + 0.0:.6g}"  # -0 is 0
     return str(cell)
 
 
@@ -261,7 +261,7 @@ def eigen(options: Options) -> int:
     table(list(zip(range(len(pairs.values)), pairs.values, pairs.residuals, strict=True)), ("", "eigenvalue", "residual"))
     values = {"values": pairs.values, "functions": pairs.functions, "residuals": pairs.residuals}
     first = 1 if len(pairs.values) > 1 else 0
-    shown = {f"mode {at}, λ = {pairs.values[at]:.4g}": pairs.functions[:, at] for at in range(first, min(len(pairs.values), 13))}
+    shown = {f"mode {at}, λ = {pairs.values[at] + 0.0:.4g}": pairs.functions[:, at] for at in range(first, min(len(pairs.values), 13))}
     write(options, shape, values, shown, contours=[0.0], **look)
     return DONE
 

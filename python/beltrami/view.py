@@ -452,8 +452,8 @@ def _bar(canvas: _Canvas, shown: Field, x: float, y: float, width: float, height
         along = (tick - low) / (high - low) if high > low else 0.5
         if upright:
             at = y1 - along * (y1 - y0)
-            canvas.line([(x1 + 2, at), (x1 + 0.4 * size, at)], 1.2, 0.6)
-            canvas.text(text, x1 + 0.62 * size, at + 0.34 * size, size, strength=0.9)
+            canvas.line([(x1 + 2, at), (x1 + 0.35 * size, at)], 1.2, 0.6)
+            canvas.text(text, x1 + 0.85 * size, at + 0.34 * size, size, strength=0.9)
         else:
             at = x0 + along * (x1 - x0)
             canvas.line([(at, y1 + 1), (at, y1 + 0.25 * size)], 1.2, 0.6)
@@ -696,7 +696,7 @@ def plot(
     bar_room = 0.0
     if color_bar and alone and first.bar and first.kind == "scalars":
         wide = max((lettering.width(text, 0.85 * size_) for text in _tick_texts(_ticks(*first.span))), default=0.0)
-        bar_room = max(1.1 * size_ + wide + 1.6 * size_, lettering.width(_fit(first.name, 0.9 * size_, 0.25 * width), 0.9 * size_) + size_)
+        bar_room = max(1.3 * size_ + wide + 1.6 * size_, lettering.width(_fit(first.name, 0.9 * size_, 0.25 * width), 0.9 * size_) + size_)
     elif color_bar and alone and first.bar:  # numbers on faces: the same bar
         bar_room = 5.5 * size_
     elif color_bar and alone and first.legend:

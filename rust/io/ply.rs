@@ -524,7 +524,7 @@ fn read_records(
 
 fn spread<T: Stored>(block: &[u8], stride: usize, offset: usize, swap: bool, places: &mut [f64], dimension: usize, axis: usize) {
     for (record, place) in block.chunks_exact(stride).zip(places.chunks_exact_mut(dimension)) {
-        place[axis] = at::<T>(record, offset, swap).double();
+        place[axis] = at::<T>(record, offset, swap).as_double();
     }
 }
 

@@ -22,18 +22,11 @@ pub enum Values {
 /// Runs one expression for whatever type the numbers have.
 macro_rules! with_values {
     ($values:expr, $vector:ident => $body:expr) => {
+        $crate::io::values::with_values!(@ $values, $vector, $body; Bool I8 U8 I16 U16 I32 U32 I64 U64 F32 F64)
+    };
+    (@ $values:expr, $vector:ident, $body:expr; $($variant:ident)*) => {
         match $values {
-            $crate::io::Values::Bool($vector) => $body,
-            $crate::io::Values::I8($vector) => $body,
-            $crate::io::Values::U8($vector) => $body,
-            $crate::io::Values::I16($vector) => $body,
-            $crate::io::Values::U16($vector) => $body,
-            $crate::io::Values::I32($vector) => $body,
-            $crate::io::Values::U32($vector) => $body,
-            $crate::io::Values::I64($vector) => $body,
-            $crate::io::Values::U64($vector) => $body,
-            $crate::io::Values::F32($vector) => $body,
-            $crate::io::Values::F64($vector) => $body,
+            $($crate::io::Values::$variant($vector) => $body,)*
         }
     };
 }
@@ -69,29 +62,60 @@ impl Scalar {
     }
 
     pub(super) fn empty(self) -> Values {
-        match self {
-            Scalar::I8 => Values::I8(Vec::new()),
-            Scalar::U8 => Values::U8(Vec::new()),
-            Scalar::I16 => Values::I16(Vec::new()),
-            Scalar::U16 => Values::U16(Vec::new()),
-            Scalar::I32 => Values::I32(Vec::new()),
-            Scalar::U32 => Values::U32(Vec::new()),
-            Scalar::I64 => Values::I64(Vec::new()),
-            Scalar::U64 => Values::U64(Vec::new()),
-            Scalar::F32 => Values::F32(Vec::new()),
-            Scalar::F64 => Values::F64(Vec::new()),
+        macro_rules! arms {
+            ($($variant:ident)*) => { match self { $(Scalar::$variant => Values::$variant(Vec::new()),)* } };
         }
+        arms!(I8 U8 I16 U16 I32 U32 I64 U64 F32 F64)
     }
 }
 
+/// A number that a column can hold.
+pub(super) trait Number: Copy {
+    const NAME: &'static str;
+    fn column(numbers: Vec<Self>) -> Values;
+    fn as_double(self) -> f64;
+    fn as_whole(self) -> Option<i128>;
+}
+
+macro_rules! numbers {
+    ($($type:ty, $variant:ident, $name:literal, $value:ident => $double:expr, $whole:expr;)*) => {
+        $(impl Number for $type {
+            const NAME: &'static str = $name;
+            fn column(numbers: Vec<Self>) -> Values {
+                Values::$variant(numbers)
+            }
+            fn as_double(self) -> f64 {
+                let $value = self;
+                $double
+            }
+            fn as_whole(self) -> Option<i128> {
+                let $value = self;
+                $whole
+            }
+        })*
+    };
+}
+numbers! {
+    bool, Bool, "bool", value => f64::from(u8::from(value)), Some(value.into());
+    i8, I8, "int8", value => value.into(), Some(value.into());
+    u8, U8, "uint8", value => value.into(), Some(value.into());
+    i16, I16, "int16", value => value.into(), Some(value.into());
+    u16, U16, "uint16", value => value.into(), Some(value.into());
+    i32, I32, "int32", value => value.into(), Some(value.into());
+    u32, U32, "uint32", value => value.into(), Some(value.into());
+    i64, I64, "int64", value => value as f64, Some(value.into());
+    u64, U64, "uint64", value => value as f64, Some(value.into());
+    f32, F32, "float32", value => value.into(), { let _ = value; None };
+    f64, F64, "float64", value => value, { let _ = value; None };
+}
+
 /// A number that stands in a file in either byte order.
-pub(super) trait Stored: Pod {
+pub(super) trait Stored: Pod + Number {
     fn swapped(self) -> Self;
-    fn double(self) -> f64;
 }
 
 macro_rules! stored {
-    ($($type:ty),*) => { $(impl Stored for $type { fn swapped(self) -> Self { Self::from_ne_bytes({ let mut bytes = self.to_ne_bytes(); bytes.reverse(); bytes }) } fn double(self) -> f64 { self as f64 } })* };
+    ($($type:ty),*) => { $(impl Stored for $type { fn swapped(self) -> Self { Self::from_ne_bytes({ let mut bytes = self.to_ne_bytes(); bytes.reverse(); bytes }) } })* };
 }
 stored!(i8, u8, i16, u16, i32, u32, i64, u64, f32, f64);
 
@@ -105,47 +129,15 @@ pub(super) fn at<T: Stored>(record: &[u8], offset: usize, swap: bool) -> T {
 /// Calls for the number of a type at an offset of a record, as a value of its own type.
 macro_rules! with_number {
     ($scalar:expr, $record:expr, $offset:expr, $swap:expr, $number:ident => $body:expr) => {
+        $crate::io::values::with_number!(@ $scalar, $record, $offset, $swap, $number, $body;
+            I8 i8 U8 u8 I16 i16 U16 u16 I32 i32 U32 u32 I64 i64 U64 u64 F32 f32 F64 f64)
+    };
+    (@ $scalar:expr, $record:expr, $offset:expr, $swap:expr, $number:ident, $body:expr; $($variant:ident $type:ident)*) => {
         match $scalar {
-            Scalar::I8 => {
-                let $number = $crate::io::values::at::<i8>($record, $offset, $swap);
+            $(Scalar::$variant => {
+                let $number = $crate::io::values::at::<$type>($record, $offset, $swap);
                 $body
-            }
-            Scalar::U8 => {
-                let $number = $crate::io::values::at::<u8>($record, $offset, $swap);
-                $body
-            }
-            Scalar::I16 => {
-                let $number = $crate::io::values::at::<i16>($record, $offset, $swap);
-                $body
-            }
-            Scalar::U16 => {
-                let $number = $crate::io::values::at::<u16>($record, $offset, $swap);
-                $body
-            }
-            Scalar::I32 => {
-                let $number = $crate::io::values::at::<i32>($record, $offset, $swap);
-                $body
-            }
-            Scalar::U32 => {
-                let $number = $crate::io::values::at::<u32>($record, $offset, $swap);
-                $body
-            }
-            Scalar::I64 => {
-                let $number = $crate::io::values::at::<i64>($record, $offset, $swap);
-                $body
-            }
-            Scalar::U64 => {
-                let $number = $crate::io::values::at::<u64>($record, $offset, $swap);
-                $body
-            }
-            Scalar::F32 => {
-                let $number = $crate::io::values::at::<f32>($record, $offset, $swap);
-                $body
-            }
-            Scalar::F64 => {
-                let $number = $crate::io::values::at::<f64>($record, $offset, $swap);
-                $body
-            }
+            })*
         }
     };
 }
@@ -164,72 +156,28 @@ impl Values {
 
     /// Name of the type, as numpy calls it.
     pub fn type_name(&self) -> &'static str {
-        match self {
-            Values::Bool(_) => "bool",
-            Values::I8(_) => "int8",
-            Values::U8(_) => "uint8",
-            Values::I16(_) => "int16",
-            Values::U16(_) => "uint16",
-            Values::I32(_) => "int32",
-            Values::U32(_) => "uint32",
-            Values::I64(_) => "int64",
-            Values::U64(_) => "uint64",
-            Values::F32(_) => "float32",
-            Values::F64(_) => "float64",
+        fn name<T: Number>(_: &[T]) -> &'static str {
+            T::NAME
         }
+        with_values!(self, vector => name(vector))
     }
 
     /// One of the numbers as a double; nothing beyond the end.
     pub fn number(&self, index: usize) -> Option<f64> {
-        match self {
-            Values::Bool(vector) => vector.get(index).map(|&value| f64::from(u8::from(value))),
-            Values::I8(vector) => vector.get(index).map(|&value| value.into()),
-            Values::U8(vector) => vector.get(index).map(|&value| value.into()),
-            Values::I16(vector) => vector.get(index).map(|&value| value.into()),
-            Values::U16(vector) => vector.get(index).map(|&value| value.into()),
-            Values::I32(vector) => vector.get(index).map(|&value| value.into()),
-            Values::U32(vector) => vector.get(index).map(|&value| value.into()),
-            Values::I64(vector) => vector.get(index).map(|&value| value as f64),
-            Values::U64(vector) => vector.get(index).map(|&value| value as f64),
-            Values::F32(vector) => vector.get(index).map(|&value| value.into()),
-            Values::F64(vector) => vector.get(index).copied(),
-        }
+        with_values!(self, vector => vector.get(index).map(|value| value.as_double()))
     }
 
     /// One of the numbers, if it is whole and not a float.
     pub(super) fn whole(&self, index: usize) -> Option<i128> {
-        match self {
-            Values::Bool(vector) => vector.get(index).map(|&value| value.into()),
-            Values::I8(vector) => vector.get(index).map(|&value| value.into()),
-            Values::U8(vector) => vector.get(index).map(|&value| value.into()),
-            Values::I16(vector) => vector.get(index).map(|&value| value.into()),
-            Values::U16(vector) => vector.get(index).map(|&value| value.into()),
-            Values::I32(vector) => vector.get(index).map(|&value| value.into()),
-            Values::U32(vector) => vector.get(index).map(|&value| value.into()),
-            Values::I64(vector) => vector.get(index).map(|&value| value.into()),
-            Values::U64(vector) => vector.get(index).map(|&value| value.into()),
-            Values::F32(_) | Values::F64(_) => None,
-        }
+        with_values!(self, vector => vector.get(index).and_then(|value| value.as_whole()))
     }
 
     /// The rows of `columns` numbers that `rows` names.
     pub(super) fn rows(&self, rows: &[u32], columns: usize) -> Values {
-        fn pick<T: Copy>(vector: &[T], rows: &[u32], columns: usize) -> Vec<T> {
-            rows.iter().flat_map(|&row| vector[row as usize * columns..][..columns].iter().copied()).collect()
+        fn pick<T: Number>(vector: &[T], rows: &[u32], columns: usize) -> Values {
+            T::column(rows.iter().flat_map(|&row| vector[row as usize * columns..][..columns].iter().copied()).collect())
         }
-        match self {
-            Values::Bool(vector) => Values::Bool(pick(vector, rows, columns)),
-            Values::I8(vector) => Values::I8(pick(vector, rows, columns)),
-            Values::U8(vector) => Values::U8(pick(vector, rows, columns)),
-            Values::I16(vector) => Values::I16(pick(vector, rows, columns)),
-            Values::U16(vector) => Values::U16(pick(vector, rows, columns)),
-            Values::I32(vector) => Values::I32(pick(vector, rows, columns)),
-            Values::U32(vector) => Values::U32(pick(vector, rows, columns)),
-            Values::I64(vector) => Values::I64(pick(vector, rows, columns)),
-            Values::U64(vector) => Values::U64(pick(vector, rows, columns)),
-            Values::F32(vector) => Values::F32(pick(vector, rows, columns)),
-            Values::F64(vector) => Values::F64(pick(vector, rows, columns)),
-        }
+        with_values!(self, vector => pick(vector, rows, columns))
     }
 
     /// Columns of the same type side by side; nothing if their types or lengths differ.

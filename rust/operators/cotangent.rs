@@ -4,9 +4,10 @@
 //! ij) and the gradient of φ_k is constant on each triangle. Pinkall & Polthier 1993; Meyer et al. 2003 for the mixed
 //! Voronoi areas.
 
+use super::corners::Corners;
 use crate::error::{Error, Result};
 use crate::shape::TriangleMesh;
-use crate::sparse::{CHUNK, Csr};
+use crate::sparse::{CHUNK, Csr, append_sums};
 use rayon::prelude::*;
 
 /// Stiffness, mass and mean edge length of a mesh.
@@ -76,122 +77,32 @@ fn elements(mesh: &TriangleMesh) -> Result<Vec<Element>> {
     failed.map_or(Ok(elements), Err)
 }
 
-/// For each vertex the corners (3 face + corner) that lie on it, by ascending face.
-struct Corners {
-    starts: Vec<usize>,
-    corners: Vec<u32>,
-}
-
-impl Corners {
-    fn new(mesh: &TriangleMesh) -> Self {
-        let (count, flat) = (mesh.vertex_count(), mesh.faces().as_flattened());
-        // Each task owns a range of vertices and reads all faces: no atomics, and the same order however many tasks.
-        let tasks = rayon::current_num_threads().clamp(1, 16);
-        let width = count.div_ceil(tasks).max(1);
-        let mut starts = vec![0; count + 1];
-        starts[1..].par_chunks_mut(width).enumerate().for_each(|(task, counts)| {
-            let first = task * width;
-            for &vertex in flat {
-                if let Some(number) = counts.get_mut((vertex as usize).wrapping_sub(first)) {
-                    *number += 1;
-                }
-            }
-        });
-        for vertex in 0..count {
-            starts[vertex + 1] += starts[vertex];
-        }
-        let mut corners = vec![0; flat.len()];
-        let mut rest = corners.as_mut_slice();
-        let mut parts = Vec::new();
-        for first in (0..count).step_by(width) {
-            let last = (first + width).min(count);
-            let (part, after) = std::mem::take(&mut rest).split_at_mut(starts[last] - starts[first]);
-            parts.push((first, last, part));
-            rest = after;
-        }
-        parts.into_par_iter().for_each(|(first, last, part)| {
-            let mut next: Vec<usize> = starts[first..last].iter().map(|start| start - starts[first]).collect();
-            for (corner, &vertex) in flat.iter().enumerate() {
-                if let Some(at) = next.get_mut((vertex as usize).wrapping_sub(first)) {
-                    part[*at] = corner as u32;
-                    *at += 1;
-                }
-            }
-        });
-        Corners { starts, corners }
-    }
-
-    fn of(&self, vertex: usize) -> &[u32] {
-        &self.corners[self.starts[vertex]..self.starts[vertex + 1]]
-    }
-}
-
 /// A symmetric matrix from what each corner adds to its row: `entries(corner, put)` puts (column, value) pairs.
 /// Repeated columns are added up in the order of faces, so that entry (i, j) and entry (j, i) are the same sum.
 fn assemble(corners: &Corners, diagonal: bool, entries: impl Fn(u32, &mut Vec<(u32, f64)>) + Sync) -> Csr {
-    let count = corners.starts.len() - 1;
-    let parts: Vec<(Vec<u32>, Vec<u32>, Vec<f64>)> = (0..count.div_ceil(CHUNK))
-        .into_par_iter()
-        .map(|chunk| {
-            let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(count);
-            let (mut lengths, mut indices, mut values) =
-                (Vec::with_capacity(CHUNK), Vec::with_capacity(8 * CHUNK), Vec::with_capacity(8 * CHUNK));
-            let mut row = Vec::new();
-            for vertex in rows {
-                row.clear();
-                if diagonal && !corners.of(vertex).is_empty() {
-                    row.push((vertex as u32, 0.0));
-                }
-                for &corner in corners.of(vertex) {
-                    entries(corner, &mut row);
-                }
-                row.sort_by_key(|&(column, _)| column); // stable: faces stay in order
-                let first = indices.len();
-                for &(column, value) in &row {
-                    match values.last_mut() {
-                        Some(last) if indices.len() > first && indices.last() == Some(&column) => *last += value,
-                        _ => {
-                            indices.push(column);
-                            values.push(value);
-                        }
-                    }
-                }
-                if diagonal {
-                    let sum: f64 = values[first..].iter().sum();
-                    if let Some(at) = indices[first..].iter().position(|&column| column as usize == vertex) {
-                        values[first + at] = -sum;
-                    }
-                }
-                lengths.push((indices.len() - first) as u32);
+    let count = corners.vertex_count();
+    Csr::by_rows(count, count, |vertex, row: &mut Vec<(u32, f64)>, indices, values| {
+        row.clear();
+        if diagonal && !corners.of(vertex).is_empty() {
+            row.push((vertex as u32, 0.0));
+        }
+        for &corner in corners.of(vertex) {
+            entries(corner, row);
+        }
+        row.sort_by_key(|&(column, _)| column); // stable: faces stay in order
+        let first = indices.len();
+        append_sums(row.iter().copied(), indices, values);
+        if diagonal {
+            let sum: f64 = values[first..].iter().sum();
+            if let Some(at) = indices[first..].iter().position(|&column| column as usize == vertex) {
+                values[first + at] = -sum;
             }
-            (lengths, indices, values)
-        })
-        .collect();
-    let mut starts = Vec::with_capacity(count + 1);
-    starts.push(0);
-    let mut total = 0;
-    for length in parts.iter().flat_map(|(lengths, _, _)| lengths) {
-        total += *length as usize;
-        starts.push(total);
-    }
-    let (mut indices, mut values) = (vec![0; total], vec![0.0; total]);
-    let (mut left_indices, mut left_values) = (indices.as_mut_slice(), values.as_mut_slice());
-    let mut copies = Vec::with_capacity(parts.len());
-    for (_, from_indices, from_values) in &parts {
-        let (to_indices, after_indices) = std::mem::take(&mut left_indices).split_at_mut(from_indices.len());
-        let (to_values, after_values) = std::mem::take(&mut left_values).split_at_mut(from_values.len());
-        copies.push((from_indices, from_values, to_indices, to_values));
-        (left_indices, left_values) = (after_indices, after_values);
-    }
-    copies.into_par_iter().for_each(|(from_indices, from_values, to_indices, to_values)| {
-        to_indices.copy_from_slice(from_indices);
-        to_values.copy_from_slice(from_values);
-    });
-    Csr::trusted(count, count, starts, indices, values)
+        }
+    })
 }
 
 fn lumped(corners: &Corners, share: impl Fn(u32) -> f64 + Sync) -> Vec<f64> {
-    (0..corners.starts.len() - 1)
+    (0..corners.vertex_count())
         .into_par_iter()
         .with_min_len(CHUNK)
         .map(|vertex| corners.of(vertex).iter().map(|&corner| share(corner)).sum())
@@ -231,7 +142,7 @@ fn mean_edge_length(mesh: &TriangleMesh, stiffness: &Csr) -> f64 {
 /// # Errors
 /// [`Error::Input`] if there is no triangle, one is degenerate, or its size is out of the range of double precision.
 pub fn cotangent_operators(mesh: &TriangleMesh) -> Result<MeshOperators> {
-    let (elements, corners) = (elements(mesh)?, Corners::new(mesh));
+    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
     let stiffness = assemble(&corners, true, |corner, row| {
         let (face, at) = (corner as usize / 3, corner as usize % 3);
         let (next, last) = ((at + 1) % 3, (at + 2) % 3);
@@ -267,7 +178,7 @@ pub fn has_positive_weights(stiffness: &Csr) -> bool {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
-    let (elements, corners) = (elements(mesh)?, Corners::new(mesh));
+    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
     Ok(lumped(&corners, |corner| {
         let (face, at) = (corner as usize / 3, corner as usize % 3);
         let Element { half_cotangents: cotangents, area } = elements[face];
@@ -288,7 +199,7 @@ pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn galerkin_mass(mesh: &TriangleMesh) -> Result<Csr> {
-    let (elements, corners) = (elements(mesh)?, Corners::new(mesh));
+    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
     Ok(assemble(&corners, false, |corner, row| {
         let (face, at) = (corner as usize / 3, corner as usize % 3);
         for other in 0..3 {
@@ -337,12 +248,12 @@ pub fn gradient(mesh: &TriangleMesh) -> Result<Csr> {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn divergence(mesh: &TriangleMesh, mass: &[f64]) -> Result<Csr> {
-    let (elements, corners, dimension) = (elements(mesh)?, Corners::new(mesh), mesh.dimension());
+    let (elements, corners, dimension) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()), mesh.dimension());
     let count = mesh.vertex_count();
     if mass.len() != count {
         return Err(Error::input(format!("{} masses for a mesh of {count} vertices", mass.len())));
     }
-    let starts: Vec<usize> = corners.starts.iter().map(|start| start * dimension).collect();
+    let starts: Vec<usize> = corners.starts().iter().map(|start| start * dimension).collect();
     let columns = elements.len() * dimension;
     if columns > u32::MAX as usize {
         return Err(Error::input(format!("{columns} columns; a matrix can have up to 2^32 - 1")));

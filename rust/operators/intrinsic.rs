@@ -2,82 +2,22 @@
 //!
 //! Vector fields have two coordinates a triangle, in the frame whose first axis runs from corner 0 to corner 1.
 
+use super::corners::Corners;
 use crate::error::{Error, Result};
 use crate::shape::IntrinsicTriangulation;
 use crate::shape::intrinsic::{area_of, cotangent_of};
-use crate::sparse::{CHUNK, Csr};
+use crate::sparse::{CHUNK, Csr, append_sums};
 use rayon::prelude::*;
-
-/// Corners (3 face + k) on each vertex, ascending.
-struct Corners {
-    starts: Vec<usize>,
-    corners: Vec<u32>,
-}
-
-impl Corners {
-    fn new(triangulation: &IntrinsicTriangulation) -> Self {
-        let flat = triangulation.faces().as_flattened();
-        let mut starts = vec![0; triangulation.vertex_count() + 1];
-        for &vertex in flat {
-            starts[vertex as usize + 1] += 1;
-        }
-        for vertex in 0..triangulation.vertex_count() {
-            starts[vertex + 1] += starts[vertex];
-        }
-        let mut next = starts.clone();
-        let mut corners = vec![0; flat.len()];
-        for (corner, &vertex) in flat.iter().enumerate() {
-            corners[next[vertex as usize]] = corner as u32;
-            next[vertex as usize] += 1;
-        }
-        Corners { starts, corners }
-    }
-
-    fn of(&self, vertex: usize) -> &[u32] {
-        &self.corners[self.starts[vertex]..self.starts[vertex + 1]]
-    }
-}
 
 /// Rows of a matrix, made in parallel: `fill(row, entries)` puts (column, order, value); entries of a column are added up in
 /// ascending order, so that (i, j) and (j, i) become the same sum.
 fn rows(count: usize, columns: usize, fill: impl Fn(usize, &mut Vec<(u32, u32, f64)>) + Sync) -> Csr {
-    let parts: Vec<(Vec<u32>, Vec<u32>, Vec<f64>)> = (0..count.div_ceil(CHUNK))
-        .into_par_iter()
-        .map(|chunk| {
-            let (mut lengths, mut indices, mut values) = (Vec::with_capacity(CHUNK), Vec::new(), Vec::new());
-            let mut entries = Vec::new();
-            for row in chunk * CHUNK..((chunk + 1) * CHUNK).min(count) {
-                entries.clear();
-                fill(row, &mut entries);
-                entries.sort_unstable_by_key(|&(column, order, _)| (column, order));
-                let first = indices.len();
-                for &(column, _, value) in &entries {
-                    match values.last_mut() {
-                        Some(last) if indices.len() > first && indices.last() == Some(&column) => *last += value,
-                        _ => {
-                            indices.push(column);
-                            values.push(value);
-                        }
-                    }
-                }
-                lengths.push((indices.len() - first) as u32);
-            }
-            (lengths, indices, values)
-        })
-        .collect();
-    let mut starts = Vec::with_capacity(count + 1);
-    starts.push(0);
-    let mut total = 0;
-    for length in parts.iter().flat_map(|(lengths, _, _)| lengths) {
-        total += *length as usize;
-        starts.push(total);
-    }
-    let (mut indices, mut values) = (Vec::with_capacity(total), Vec::with_capacity(total));
-    for (_, some, numbers) in parts {
-        indices.extend(some);
-        values.extend(numbers);
-    }
-    Csr::trusted(count, columns, starts, indices, values)
+    Csr::by_rows(count, columns, |row, entries: &mut Vec<(u32, u32, f64)>, indices, values| {
+        entries.clear();
+        fill(row, entries);
+        entries.sort_unstable_by_key(|&(column, order, _)| (column, order));
+        append_sums(entries.iter().map(|&(column, _, value)| (column, value)), indices, values);
+    })
 }
 
 /// Sets the diagonal entries so that rows sum to zero.
@@ -129,7 +69,7 @@ impl IntrinsicTriangulation {
     /// ```
     pub fn stiffness(&self) -> Csr {
         let (lengths, _, weight) = self.scaled();
-        let corners = Corners::new(self);
+        let corners = Corners::new(self.vertex_count(), self.faces());
         let half: Vec<[f64; 3]> = (0..self.faces().len())
             .into_par_iter()
             .with_min_len(CHUNK)
@@ -156,7 +96,7 @@ impl IntrinsicTriangulation {
     /// Lumped mass: a third of the adjacent areas at each vertex, 0 at vertices of no triangle.
     pub fn mass(&self) -> Vec<f64> {
         let areas = self.face_areas();
-        let corners = Corners::new(self);
+        let corners = Corners::new(self.vertex_count(), self.faces());
         (0..self.vertex_count())
             .into_par_iter()
             .with_min_len(CHUNK)
@@ -168,7 +108,7 @@ impl IntrinsicTriangulation {
     /// for a mesh. They sum to the total area.
     pub fn voronoi_mass(&self) -> Vec<f64> {
         let (lengths, unit, weight) = self.scaled();
-        let corners = Corners::new(self);
+        let corners = Corners::new(self.vertex_count(), self.faces());
         let share = |corner: u32| {
             let (face, at) = (corner as usize / 3, corner as usize % 3);
             let Element { cotangents, area, .. } = element(lengths, face);
@@ -215,7 +155,7 @@ impl IntrinsicTriangulation {
         if faces.len() >= 1 << 31 {
             return Err(Error::input(format!("{} triangles; the divergence takes up to 2^31 - 1", faces.len())));
         }
-        let corners = Corners::new(self);
+        let corners = Corners::new(self.vertex_count(), self.faces());
         Ok(rows(self.vertex_count(), 2 * faces.len(), |vertex, entries| {
             if mass[vertex] <= 0.0 || mass[vertex].is_nan() {
                 return;

@@ -869,56 +869,49 @@ impl<'a> VotedSimplices<'a> {
             }
         });
         let (starts, simplices) = self.incidence();
-        let rows: Vec<(Vec<u32>, Vec<u32>, Vec<f64>)> = (0..self.count().div_ceil(CHUNK))
-            .into_par_iter()
-            .map(|chunk| {
-                let (mut lengths, mut indices, mut values) = (vec![], vec![], vec![]);
-                let mut entries: Vec<(u32, u32, f64)> = vec![];
-                for point in chunk * CHUNK..((chunk + 1) * CHUNK).min(self.count()) {
-                    entries.clear();
-                    for &simplex in &simplices[starts[point]..starts[point + 1]] {
-                        let corners = self.corners(simplex as usize);
-                        let numbers = &pairs[simplex as usize * edges..][..edges];
-                        let mut next = 0;
-                        for a in 0..size {
-                            for b in a + 1..size {
-                                if corners[a] as usize == point {
-                                    entries.push((corners[b], simplex, numbers[next]));
-                                } else if corners[b] as usize == point {
-                                    entries.push((corners[a], simplex, numbers[next]));
-                                }
-                                next += 1;
-                            }
+        let matrix = Csr::by_rows(self.count(), self.count(), |point, entries: &mut Vec<(u32, u32, f64)>, indices, values| {
+            entries.clear();
+            for &simplex in &simplices[starts[point]..starts[point + 1]] {
+                let corners = self.corners(simplex as usize);
+                let numbers = &pairs[simplex as usize * edges..][..edges];
+                let mut next = 0;
+                for a in 0..size {
+                    for b in a + 1..size {
+                        if corners[a] as usize == point {
+                            entries.push((corners[b], simplex, numbers[next]));
+                        } else if corners[b] as usize == point {
+                            entries.push((corners[a], simplex, numbers[next]));
                         }
+                        next += 1;
                     }
-                    // by neighbour, then by simplex: both rows of a pair add up the same numbers in the same order
-                    entries.sort_unstable_by_key(|entry| (entry.0, entry.1));
-                    let before = indices.len();
-                    let mut diagonal = None;
-                    let mut total = 0.0;
-                    for group in entries.chunk_by(|x, y| x.0 == y.0) {
-                        let sum: f64 = group.iter().map(|entry| entry.2).sum();
-                        if group[0].0 as usize > point && diagonal.is_none() {
-                            diagonal = Some(indices.len());
-                            indices.push(point as u32);
-                            values.push(0.0);
-                        }
-                        indices.push(group[0].0);
-                        values.push(sum);
-                        total += sum;
-                    }
-                    let diagonal = diagonal.unwrap_or_else(|| {
-                        indices.push(point as u32);
-                        values.push(0.0);
-                        indices.len() - 1
-                    });
-                    values[diagonal] = -total;
-                    lengths.push((indices.len() - before) as u32);
                 }
-                (lengths, indices, values)
-            })
-            .collect();
-        join_rows(rows, self.count(), self.count())
+            }
+            // by neighbour, then by simplex: both rows of a pair add up the same numbers in the same order
+            entries.sort_unstable_by_key(|entry| (entry.0, entry.1));
+            let mut diagonal = None;
+            let mut total = 0.0;
+            for group in entries.chunk_by(|x, y| x.0 == y.0) {
+                let sum: f64 = group.iter().map(|entry| entry.2).sum();
+                if group[0].0 as usize > point && diagonal.is_none() {
+                    diagonal = Some(indices.len());
+                    indices.push(point as u32);
+                    values.push(0.0);
+                }
+                indices.push(group[0].0);
+                values.push(sum);
+                total += sum;
+            }
+            let diagonal = diagonal.unwrap_or_else(|| {
+                indices.push(point as u32);
+                values.push(0.0);
+                indices.len() - 1
+            });
+            values[diagonal] = -total;
+        });
+        match matrix.values().iter().any(|value| !value.is_finite()) {
+            true => Err(Error::numerical("an entry of the operator overflows; measure the coordinates in other units")),
+            false => Ok(matrix),
+        }
     }
 
     /// Mean length of the edges.
@@ -996,25 +989,6 @@ impl<'a> VotedSimplices<'a> {
             return Err(Error::numerical("an entry of the gradient overflows; measure the coordinates in larger units"));
         }
         Ok(Csr::trusted(rows, self.count(), (0..=rows).map(|row| row * size).collect(), indices, values))
-    }
-}
-
-/// Rows made chunk by chunk (lengths, columns, values) as one matrix.
-pub(crate) fn join_rows(parts: Vec<(Vec<u32>, Vec<u32>, Vec<f64>)>, rows: usize, columns: usize) -> Result<Csr> {
-    let mut starts = Vec::with_capacity(rows + 1);
-    starts.push(0);
-    let total = parts.iter().map(|part| part.1.len()).sum();
-    let (mut indices, mut values) = (Vec::with_capacity(total), Vec::with_capacity(total));
-    for (lengths, part_indices, part_values) in parts {
-        for length in lengths {
-            starts.push(starts[starts.len() - 1] + length as usize);
-        }
-        indices.extend_from_slice(&part_indices);
-        values.extend_from_slice(&part_values);
-    }
-    match values.iter().any(|value: &f64| !value.is_finite()) {
-        true => Err(Error::numerical("an entry of the operator overflows; measure the coordinates in other units")),
-        false => Ok(Csr::trusted(rows, columns, starts, indices, values)),
     }
 }
 

@@ -2,6 +2,7 @@
 //!
 //! The stiffness L is positive semidefinite, its rows sum to zero; Laplace-Beltrami is -diag(mass)^-1 L.
 
+mod corners;
 pub mod cotangent;
 mod intrinsic;
 

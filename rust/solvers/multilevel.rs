@@ -7,7 +7,7 @@
 use super::{Cholesky, Scratch};
 use crate::control::Control;
 use crate::error::{Error, Result};
-use crate::sparse::{CHUNK, Csr};
+use crate::sparse::{CHUNK, Csr, append_sums};
 use rayon::prelude::*;
 
 const COARSEST: usize = 60_000; // rows that are left to Cholesky
@@ -292,43 +292,13 @@ fn collapsed(matrix: &Csr, group: &[u32], count: usize, control: &Control) -> Re
         next[group as usize] += 1;
     }
     control.check()?;
-    let parts: Vec<(Vec<usize>, Vec<u32>, Vec<f64>)> = (0..count.div_ceil(CHUNK))
-        .into_par_iter()
-        .map(|chunk| {
-            let rows = chunk * CHUNK..((chunk + 1) * CHUNK).min(count);
-            let (mut lengths, mut indices, mut values) = (Vec::with_capacity(CHUNK), Vec::new(), Vec::new());
-            let mut entries: Vec<(u32, f64)> = Vec::new();
-            for row in rows {
-                entries.clear();
-                for &fine in &members[starts[row]..starts[row + 1]] {
-                    let (columns, numbers) = matrix.row(fine as usize);
-                    entries.extend(columns.iter().zip(numbers).map(|(&column, &number)| (group[column as usize], number)));
-                }
-                entries.sort_by_key(|entry| entry.0); // stable: sums are grouped alike
-                let first = indices.len();
-                for &(column, number) in &entries {
-                    if indices.len() > first && indices.last() == Some(&column) {
-                        if let Some(last) = values.last_mut() {
-                            *last += number;
-                        }
-                    } else {
-                        indices.push(column);
-                        values.push(number);
-                    }
-                }
-                lengths.push(indices.len() - first);
-            }
-            (lengths, indices, values)
-        })
-        .collect();
-    let size = parts.iter().map(|part| part.1.len()).sum();
-    let (mut starts, mut indices, mut values) = (vec![0], Vec::with_capacity(size), Vec::with_capacity(size));
-    for (lengths, part_indices, part_values) in parts {
-        for length in lengths {
-            starts.push(starts[starts.len() - 1] + length);
+    Ok(Csr::by_rows(count, count, |row, entries: &mut Vec<(u32, f64)>, indices, values| {
+        entries.clear();
+        for &fine in &members[starts[row]..starts[row + 1]] {
+            let (columns, numbers) = matrix.row(fine as usize);
+            entries.extend(columns.iter().zip(numbers).map(|(&column, &number)| (group[column as usize], number)));
         }
-        indices.extend(part_indices);
-        values.extend(part_values);
-    }
-    Ok(Csr::trusted(count, count, starts, indices, values))
+        entries.sort_by_key(|entry| entry.0); // stable: sums are grouped alike
+        append_sums(entries.iter().copied(), indices, values);
+    }))
 }
