@@ -25,6 +25,8 @@ from .view import Page, Picture
 
 __all__ = ["BarycenterResult", "wasserstein_barycenter"]
 
+RATIO = 0.2  # of the dual to the primal step: ends that must agree want longer dual steps than ends that are given
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BarycenterResult:
@@ -91,7 +93,7 @@ class _Joint:
     def __init__(self, models: list[Model], start: _Joint | None = None) -> None:
         self.models = models
         starts: list[Splitting | None] = [None] * len(models) if start is None else [*start.runs]
-        self.runs: list[Splitting] = [Splitting(model, start=before) for model, before in zip(models, starts, strict=True)]
+        self.runs: list[Splitting] = [Splitting(model, start=before, ratio=RATIO) for model, before in zip(models, starts, strict=True)]
 
     def iterate(self) -> None:
         duals, ends = [], []
@@ -227,7 +229,7 @@ def wasserstein_barycenter(
         made = []
         for density, weight in zip(given, share, strict=True):
             problem = Problem(surface, density, None, intervals, Lagrangian(2.0, float(weight * count)), memory=limit, scale=scale)
-            made.append(Model(problem, intervals, Scales(unit, 1.0)))
+            made.append(Model(problem, intervals, Scales(unit, 1.0), float(intervals)))
             if len(made) > 1:
                 made[-1].projection = made[0].projection  # the same equation
         return made

@@ -532,12 +532,13 @@ class Splitting:
     """Primal-dual splitting (Chambolle and Pock) with the exact projection on the continuity equation on one side, the exact
     projection of the perspective function on the other, and a block of the vertices for ρ >= 0 and the costs of being somewhere."""
 
-    def __init__(self, model: Model, *, start: Splitting | None = None) -> None:
+    def __init__(self, model: Model, *, start: Splitting | None = None, ratio: float | None = None) -> None:
         self.model = model
         q = model.density / model.problem.mass  # how much denser than the mean the mass is
         stiff = model.running is not None and model.running.superlinear
         # the ratio of the dual to the primal step
-        kappa, ratio = (1.0, q) if stiff else (NONNEGATIVE, q * min(0.25, 0.05 * max(1.0, q / 4)))
+        kappa, found = (1.0, 1.0) if stiff else (NONNEGATIVE, min(0.25, 0.05 * max(1.0, q / 4)))
+        ratio = q * (found if ratio is None else ratio)
         self.tau, self.sigma = float(np.sqrt(1 / (ratio * (1 + kappa**2)))), float(np.sqrt(ratio / (1 + kappa**2)))
         self.kappa = np.full((model.last_slice, 1), kappa)  # of the slices that are free
         if model.end is None:

@@ -118,6 +118,11 @@ def test_doctor_is_content(capsys):
         (["geodesic", "example:bob", "--source", "334"], "334"),
         (["gallery", "--only", "cookery"], "cookery"),
         (["info", "example:bob", "--threads", "0"], "--threads"),
+        (["transport", "example:bob", "--from", "vertex:3"], "--to"),
+        (["transport", "example:bob", "--from", "vertex:x", "--to", "uniform"], "vertex:120"),
+        (["transport", "example:bob", "--from", "vertex:999", "--to", "uniform"], "999"),
+        (["game", "example:bob", "--from", "uniform", "--to", "vertex:3", "--target", "vertex:4"], "leave one out"),
+        (["game", "example:bob", "--from", "uniform", "--power", "3"], "1.05 to 2"),
     ],
 )
 def test_bad_input_ends_with_2_and_one_line(arguments, words, capsys, tmp_path, monkeypatch):
@@ -158,3 +163,24 @@ def test_other_ends(monkeypatch, capsys):
 def test_it_runs_as_a_module():
     ran = subprocess.run([sys.executable, "-m", "beltrami", "--version"], capture_output=True, text=True, timeout=60, check=False)
     assert (ran.returncode, ran.stdout.strip()) == (0, f"beltrami {bt.__version__}")
+
+
+def test_transport_and_games(tmp_path, capsys):
+    bob = ["example:bob", "--intervals", "4"]
+    flow, film, strip = (str(tmp_path / name) for name in ("flow.npz", "flow.html", "game.png"))
+    ends = ["--from", "vertex:3:0.2", "--to", "uniform", "--tolerance", "0.02"]
+    assert main(["transport", *bob, *ends, "-o", flow, "-o", film, "--times", "2", "--size", "120x90"]) == 0
+    printed = capsys.readouterr().out
+    assert "proved lower bound" in printed
+    with np.load(flow) as kept:
+        assert kept["density"].shape == (334, 5)
+        assert kept["density"].min() >= 0
+        cost, bound, gap = kept["certificate"]
+        assert bound <= cost <= bound * 1.03
+        assert gap <= 0.02
+    assert "<input" in (tmp_path / "flow.html").read_text(encoding="utf-8")
+    game = ["--from", "vertex:3:0.3", "--target", "vertex:200:0.3", "--congestion", "0.2", "--entropy", "0.1", "--tolerance", "0.02"]
+    assert main(["game", *bob, *game, "-o", strip, "--times", "2", "--size", "200x120"]) == 0
+    assert "exploitability" in capsys.readouterr().out
+    assert main(["transport", *bob, *ends[:4], "--tolerance", "1e-9", "--max-iterations", "2"]) == 1
+    assert "not converged" in capsys.readouterr().out
