@@ -73,6 +73,13 @@ def draw(simple: SimplifiedGraph, spacing: float, is_open: bool) -> Drawing:
         widths += radii[groups[chosen]].tolist()
         nearest = np.abs(np.arange(len(groups))[:, None] - chosen).argmin(1)
         node_of_group[groups] = np.asarray(numbers)[nearest]
+        lacking = 3 - len(chosen) if ring else 0
+        if lacking > 0:  # a loop of one or two contours: points between the middle and the contour make it a polygon
+            around = graph.points[graph.point_group == groups[chosen[-1]]]
+            spread = around[np.linspace(0, len(around) - 1, lacking + 1).astype(np.int64)[1:]]
+            numbers += range(len(nodes), len(nodes) + lacking)
+            nodes += list((spread + centers[groups[chosen[-1]]]) / 2)
+            widths += [float(radii[groups[chosen[-1]]])] * lacking
         first, last = ([number[end]] if end in number else [] for end in limb.ends)
         chain = first + numbers + last
         if limb.ends[0] == limb.ends[1] and limb.ends[0] not in number:

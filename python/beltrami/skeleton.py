@@ -350,7 +350,7 @@ def skeleton(
             function_out[piece.origin] = f
         else:
             f = np.ascontiguousarray(values[piece.origin])
-        if not np.ptp(f) > 0:
+        if not f.max() / 2 - f.min() / 2 > 0:
             raise InputError("the function is constant on a connected piece of the shape; hand in one that varies")
         parts.append(_one(piece, f, given, shortest_limb, part(report, 0.7, 0.9)))
     return _assembled(given, complex_, labels, parts, function_out, eigenvalues, notes)
@@ -517,7 +517,8 @@ class _Part:
 
 
 def _one(complex_: Complex, values: Floats, shape: Shape, shortest_limb: float, report: Any) -> _Part:
-    graph, length, step, counts = reeb_graph(complex_, values, report)
+    middle, half = values.max() / 2 + values.min() / 2, values.max() / 2 - values.min() / 2
+    graph, length, step, counts = reeb_graph(complex_, (values - middle) / half, report)  # from -1 to 1: no scale is too large
     cancelled = [] if complex_.is_mesh else graph.cancel_loops(complex_.spacing, step)
     kept = [loop[0] for loop in graph.loops()]
     simple = SimplifiedGraph(graph)

@@ -377,3 +377,20 @@ def test_twenty_seeds_with_noise(name: str, seed: int) -> None:
     curves, loops, leaves = SOLIDS[name]
     points, _ = tube(curves, 0.3, 6000, np.random.default_rng(seed), 0.01)
     assert counted(bt.skeleton(bt.PointCloud(points))) == (1, loops, leaves)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e300])
+def test_functions_of_any_scale(scale: float) -> None:
+    mesh = bt.shapes.torus(1.0, 0.4)
+    r = bt.skeleton(mesh, function=scale * mesh.vertices[:, 0])
+    assert (r.cycles, r.leaves) == (1, 0)
+    assert np.abs(r.nodes - bt.skeleton(mesh, function=mesh.vertices[:, 0]).nodes).max() < 1e-6
+
+
+def test_a_loop_of_one_level_is_a_loop() -> None:
+    """In R^4 both saddles of the flat torus lie within a level of each other."""
+    mesh = bt.shapes.flat_torus()
+    for shape in (mesh, bt.TriangleMesh(mesh.vertices[:, [2, 3, 0, 1]], mesh.faces)):
+        r = bt.skeleton(shape)
+        assert (r.cycles, r.leaves) == (1, 0)
+        assert counted(r) == (1, 1, 0)
