@@ -433,6 +433,102 @@ def sphere(options: Options) -> int:
     return DONE if found.converged else NOT_CONVERGED
 
 
+def _register_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", help="a shape (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex")
+    parser.add_argument("file", metavar="target", help="the shape to which it is matched")
+    _output(parser)
+    parser.add_argument("--method", choices=("auto", "rswd"), default="auto", help="rswd: sliced Wasserstein of the eigenmaps alone")
+    parser.add_argument("--landmarks", metavar="FILE", help="pairs of vertex numbers, source and target: lines of .csv or .txt, or .npy")
+    parser.add_argument("--intrinsic", action="store_true", help="only what no bending changes: no positions, no curvature")
+    parser.add_argument("--seed", type=int, default=0, help="of the directions (0)")
+    _cloud_options(parser)
+
+
+@command("register", "the point map between two shapes that differ by a bending", _register_options)
+def register(options: Options) -> int:
+    check_outputs(options)
+    target = _distinct(options)
+    source = _distinct(argparse.Namespace(**{**vars(options), "file": options.source}))
+    found = bt.register(
+        source,
+        target,
+        method=options.method,
+        landmarks=_vertex_pairs(options.landmarks),
+        extrinsic=not options.intrinsic,
+        rng=options.seed,
+        progress=Bar("register"),
+    )
+    table(
+        [
+            ("coverage of the target", found.coverage),
+            ("there and back, over sqrt(area)", found.bijectivity),
+            ("orientation score", found.orientation),
+            ("left and right told apart", found.mirror_decided),
+            ("positions in R^3 used", found.extrinsic),
+            ("sliced distance of the eigenmaps", found.distance),
+        ]
+    )
+    rows = [(k, c.energy, c.smoothness, c.orientation) for k, c in enumerate(found.candidates)]
+    table(rows, ("candidate", "energy", "smoothness", "orientation"))
+    for note in found.notes:
+        print(f"note: {note}")
+    on_source: dict[str, npt.NDArray[Any]] = {"point_map": found.point_map}
+    if found.positions is not None:
+        on_source["deformed"] = found.positions
+    for name in options.out or []:
+        if Path(name).suffix.lower() == ".ply":
+            write(argparse.Namespace(out=[name]), source, on_source, {})
+        else:
+            print(f"wrote {found.save(name)}")
+    return DONE
+
+
+def _distances_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("files", nargs="+", metavar="file", help="shapes; one that cannot be read is said, and the others go on")
+    parser.add_argument("-o", "--out", action="append", metavar="OUT", help="the matrix (.npz, .csv), a picture (.png)")
+    parser.add_argument("--method", choices=("rswd", "shape_dna"), default="rswd")
+    parser.add_argument("--processes", type=int, default=0, help="worker processes (0: none)")
+    parser.add_argument("--checkpoint", metavar="FOLDER", help="keeps what is done; the same command goes on from there")
+    parser.add_argument("--picture", choices=("map", "matrix", "dendrogram", "nearest"), default="map", help="what a .png shows (map)")
+
+
+@command("distances", "distances between all pairs of shapes: a matrix, a map, a tree", _distances_options)
+def distances(options: Options) -> int:
+    import concurrent.futures
+
+    for name in options.out or []:
+        if Path(name).suffix.lower() not in (".npz", ".csv", ".png"):
+            raise InputError(f"{name}: distances can be written to .npz, .csv or .png")
+    workers = arrays.whole(options.processes, "--processes", 0)
+    executor = concurrent.futures.ProcessPoolExecutor(workers) if workers else None
+    try:
+        found = bt.distance_matrix(
+            options.files, method=options.method, executor=executor, checkpoint=options.checkpoint, progress=Bar("distances")
+        )
+    finally:
+        if executor is not None:
+            executor.shutdown(cancel_futures=True)
+    near = found.nearest()[:, 0]
+    rows = [
+        (name, found.labels[j] if j >= 0 else "-", found[i, j] if j >= 0 else np.inf)
+        for i, (name, j) in enumerate(zip(found.labels, near, strict=True))
+    ]
+    table(rows, ("shape", "nearest", "distance"))
+    for index, wrong in found.failures.items():
+        print(f"failed: {found.labels[index]}: {wrong}")
+    for name in options.out or []:
+        path = Path(name)
+        suffix = path.suffix.lower()
+        if suffix == ".npz":
+            np.savez_compressed(path, distances=found.matrix, labels=np.array(found.labels))
+        elif suffix == ".csv":
+            np.savetxt(path, found.matrix, fmt="%.10g", delimiter=",", header=",".join(found.labels), comments="")
+        else:
+            found.plot(options.picture, path=path)
+        print(f"wrote {path}")
+    return NOT_CONVERGED if found.failures else DONE
+
+
 def _register_conformal_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", help="a surface (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex")
     parser.add_argument("file", metavar="target", help="the surface to which it is matched")

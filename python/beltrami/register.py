@@ -9,7 +9,9 @@ candidates, from what eigenfunctions' products tell, refines each, and lets the 
 from __future__ import annotations
 
 import itertools
+import os
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -28,6 +30,7 @@ from .sampling import farthest_points
 from .shapes import PointCloud, Shape, TriangleMesh
 from .sliced import Run, alternate, orthonormal_directions
 from .solvers import Cholesky
+from .view import Page, Picture, plot
 
 __all__ = ["RegistrationCandidate", "RegistrationResult", "register"]
 
@@ -634,6 +637,57 @@ class RegistrationResult:
         if direction == "to_source":
             return transfer(self.point_map, values)
         return transfer(self.point_map, values, direction=direction, target=self.target, weights=self.source_masses)
+
+    def plot(self, values: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints source and target side by side, matching points in the same colour.
+
+        Parameters
+        ----------
+        values : array, optional
+            Numbers, labels or colours at the target's points; if left out, colours that tell places of the target apart.
+        path, **options
+            As for :func:`beltrami.plot`.
+        """
+        shape, colours = self.side_by_side(values)
+        return plot(shape, colours, path=path, **{"views": ["front"], **options})
+
+    def side_by_side(self, values: Any = None) -> tuple[Shape, npt.NDArray[Any]]:
+        """Source and target as one shape, the source brought to the target's size, and the values of both: those of :meth:`plot`."""
+        places = [shape.points if isinstance(shape, PointCloud) else shape.vertices for shape in (self.source, self.target)]
+        if places[0].shape[1] != places[1].shape[1]:
+            raise InputError(f"the source lies in R^{places[0].shape[1]}, the target in R^{places[1].shape[1]}: plot them one by one")
+        if values is None:
+            values = (places[1] - places[1].min(0)) / np.maximum(np.ptp(places[1], axis=0), 1e-300)
+            values = 0.1 + 0.8 * np.pad(values[:, :3], ((0, 0), (0, max(0, 3 - values.shape[1]))), constant_values=0.5)
+        table = np.asarray(values)
+        joined = np.concatenate([self.transfer(table), table])
+        scale = float(np.ptp(places[1], axis=0).max() / max(np.ptp(places[0], axis=0).max(), 1e-300))
+        first = scale * (places[0] - places[0].mean(0))
+        second = places[1] - places[1].mean(0)
+        second[:, 0] += first[:, 0].max() - second[:, 0].min() + 0.1 * max(np.ptp(first[:, 0]), np.ptp(second[:, 0]))
+        if isinstance(self.source, TriangleMesh) and isinstance(self.target, TriangleMesh):
+            faces = np.concatenate([self.source.faces, self.target.faces + np.int32(len(first))])
+            return TriangleMesh(np.concatenate([first, second]), faces), joined
+        return PointCloud(np.concatenate([first, second]), dimension=2), joined
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``, the point map to ``.csv`` (source, target), a picture to ``.png`` or ``.html``."""
+        path = Path(path)
+        suffix = path.suffix.lower()
+        if suffix in (".png", ".html"):
+            self.plot(path=path)
+        elif suffix == ".npz":
+            names = ("point_map", "inverse_map", "functional_map", "rotation", "distance", "coverage", "bijectivity", "orientation")
+            fields: dict[str, Any] = {name: getattr(self, name) for name in names}
+            if self.positions is not None:
+                fields["positions"] = self.positions
+            np.savez_compressed(path, **fields)
+        elif suffix == ".csv":
+            rows = np.column_stack([np.arange(len(self.point_map)), self.point_map])
+            np.savetxt(path, rows, fmt="%d", delimiter=",", header="source,target", comments="")
+        else:
+            raise InputError(f"{path}: a registration is written to .npz, .csv, .png or .html")
+        return path
 
 
 def _candidates(
