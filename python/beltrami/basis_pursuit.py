@@ -40,6 +40,7 @@ Orientation = Literal["preserving", "reversing", "any"]
 BLUR = 0.01  # share of the area over which the factor of a map is averaged
 COARSE_BLUR = 0.3  # the same for the weights of upsampling, where only the factor's main course matters
 CONFORMAL = 0.02  # logarithmic misfit of the landmarks' cross-ratios below which two shapes count as conformal
+SMOOTH = 100.0  # roughness of the factor from which a map is so poor that other guesses are worth their time
 ANCHOR = 3.0  # weight of the spherical features beside the bases of a shape of unit area
 TRUSTED = 0.05  # share of sqrt(area) there and back at which the confidence has fallen to 1 / e
 
@@ -830,6 +831,7 @@ def _spherical_starts(
     sides = {"preserving": [False], "reversing": [True], "any": [False, True]}[task.orientation]
     for mirrored in sides:
         a, b = Sphered.of(task.source, spheres[0]), Sphered.of(task.target, spheres[1], mirrored=mirrored)
+        name = "spherical, mirrored" if mirrored else "spherical"
         choices: list[Indices] = []
         if len(task.marks) >= 3:
             choices = [task.marks]
@@ -837,29 +839,35 @@ def _spherical_starts(
             pairs = _feature_pairs(task)
             moebius = limbs.robust_moebius(a, b, pairs, task.rng)
             if moebius is not None:
-                choices = [np.concatenate([task.marks, limbs.agreeing_pairs(a, b, moebius, pairs)])]
-        else:
-            choices = limbs.guessed_marks(a, b, task.marks)
-            turned = spheres[0].aligned_to(spheres[1]) if not mirrored else None
-            if turned is not None:
-                spread = np.asarray(farthest_points(task.source.points, 12), np.int64)
-                images = nearest_rows(b.sphere, turned.positions[spread])
-                choices.append(limbs.distinct(np.concatenate([task.marks, np.stack([spread, images], 1)])))
-        made: list[_Candidate] = []
-        name = "spherical, mirrored" if mirrored else "spherical"
-        for marks in choices:
-            if len(marks) < 3:
-                continue
-            marks = limbs.without_outliers(a, b, limbs.paired_tips(a, b, marks), len(task.marks))
-            first, second = limbs.features(a, b, marks)
-            for how, other in ((name, second), (f"{name}, limbs stretched", limbs.stretched(a, b, marks, first, second))):
-                forward, backward = nearest_rows(other, first), nearest_rows(first, other)
-                made.append(_candidate(how, task.source, task.target, forward, backward, marks, (first, other)))
-                report(0.2)
+                choices = [limbs.distinct(np.concatenate([task.marks, limbs.agreeing_pairs(a, b, moebius, pairs)]))]
+        elif not mirrored:
+            turned = spheres[0].aligned_to(spheres[1])
+            spread = np.asarray(farthest_points(task.source.points, 12), np.int64)
+            images = nearest_rows(b.sphere, turned.positions[spread])
+            choices = [limbs.distinct(np.concatenate([task.marks, np.stack([spread, images], 1)]))]
+        made = [one for marks in choices if len(marks) >= 3 for one in _from_marks(task, a, b, marks, name)]
+        trusted = len(task.marks) >= 3 or task.tables is not None
+        # Landmarks too few, or off the limbs of shapes that are not conformal: guesses at the tips that go with them.
+        for tried, guess in enumerate(limbs.guessed_marks(a, b, task.marks)):
+            report(0.2)
+            if made and min(one.roughness for one in made) < (SMOOTH if tried >= 4 or trusted else 0.0):
+                break
+            made += _from_marks(task, a, b, limbs.distinct(np.concatenate([task.marks, guess])), name)
         made.sort(key=lambda one: one.roughness)
         found += made[:2]
         settled |= bool(made) and made[0].name == name and limbs.misfit(a, b, made[0].marks) < CONFORMAL
     return found, settled
+
+
+def _from_marks(task: _Task, a: Sphered, b: Sphered, marks: Indices, name: str) -> list[_Candidate]:
+    """The map by the features of the landmarks and of the tips found from them: as they are, and with stretched limbs."""
+    marks = limbs.without_outliers(a, b, limbs.paired_tips(a, b, marks), len(task.marks))
+    first, second = limbs.features(a, b, marks)
+    made = []
+    for how, other in ((name, second), (f"{name}, limbs stretched", limbs.stretched(a, b, marks, first, second))):
+        forward, backward = nearest_rows(other, first), nearest_rows(first, other)
+        made.append(_candidate(how, task.source, task.target, forward, backward, marks, (first, other)))
+    return made
 
 
 def _feature_pairs(task: _Task, most: int = 1000) -> Indices:

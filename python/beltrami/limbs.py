@@ -294,16 +294,18 @@ def robust_moebius(a: Sphered, b: Sphered, pairs: Indices, rng: np.random.Genera
     return best
 
 
-def guessed_marks(a: Sphered, b: Sphered, marks: Indices, most: int = 4) -> list[Indices]:
-    """Fewer than three landmarks, completed by pairs of tips to three: the choices whose Möbius maps have the most even factor.
+def guessed_marks(a: Sphered, b: Sphered, marks: Indices, most: int = 10) -> list[Indices]:
+    """Pairs of tips that make three with up to two of the landmarks: the choices whose Möbius maps have the most even factor and take
+    landmarks to landmarks.
 
     A Möbius map M between the spheres makes a conformal map of the surfaces, with a factor log w = log(scale of a) + log|M'| -
     log(scale of b) that is known at once. Its spread over a sample of points, without the quarter that fits worst, is the score.
     """
-    missing = 3 - len(marks)
+    kept_marks = marks if len(marks) < 3 else marks[:0]
+    missing = 3 - len(kept_marks)
     tips = []
     for side, own in ((a, marks[:, 0]), (b, marks[:, 1])):
-        near = side.surface.distances(own).min(0) if len(own) else np.full(len(side.sphere), np.inf)
+        near = side.surface.distances(own).min(0) if len(kept_marks) else np.full(len(side.sphere), np.inf)
         kept: list[int] = []
         for v in side.tips:
             if near[v] >= NEAR_LANDMARK and all(((side.sphere[v] - side.sphere[w]) ** 2).sum() > 0.03**2 for w in kept):
@@ -312,7 +314,7 @@ def guessed_marks(a: Sphered, b: Sphered, marks: Indices, most: int = 4) -> list
     choices: list[tuple[Moebius, Indices]] = []
     for ours in itertools.combinations(tips[0][:5], missing):
         for theirs in itertools.permutations(tips[1], missing):
-            three = np.concatenate([marks, np.array(list(zip(ours, theirs, strict=True)), np.int64)])
+            three = np.concatenate([kept_marks, np.array(list(zip(ours, theirs, strict=True)), np.int64)])
             try:
                 choices.append((Moebius.through(a.sphere[three[:, 0]], b.sphere[three[:, 1]]), three))
             except InputError:  # two of them fall together
@@ -330,6 +332,8 @@ def guessed_marks(a: Sphered, b: Sphered, marks: Indices, most: int = 4) -> list
         factor = a.log_scale[sample] + change - found[number]
         away = np.sort(np.abs(factor - np.median(factor)))
         scores[number] = away[: (3 * len(away)) // 4].mean()
+        if len(marks):
+            scores[number] += 2 * np.sqrt(((moebius(a.sphere[marks[:, 0]]) - b.sphere[marks[:, 1]]) ** 2).sum(1)).mean()
     return [choices[number][1] for number in np.argsort(scores, kind="stable")[:most]]
 
 
