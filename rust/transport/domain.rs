@@ -41,6 +41,14 @@ pub struct Step {
 impl Domain {
     /// Elements with a mass for each node. `coordinates` (nodes times D numbers, D) place the nodes for a good order.
     ///
+    /// ```
+    /// use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1
+    /// let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// assert_eq!((domain.nodes(), domain.count(), domain.labels()), (2, 1, &[0, 0][..]));
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Input`] if a mass is not finite or negative, or sizes do not fit.
     pub fn new(elements: Elements, mass: Vec<f64>, coordinates: Option<(&[f64], usize)>, control: &Control) -> Result<Self> {
@@ -195,6 +203,16 @@ impl Domain {
 
     /// Sums what elements give to their corners: for each slice `mean = Σ a/corners f` and `flux = Σ a h · (X - factor Y)`.
     ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let (mut mean, mut flux) = ([0.0; 2], [0.0; 2]);
+    /// domain.gather(&[3.0], &[2.0], &[1.0], 0.5, &mut mean, &mut flux)?;
+    /// assert_eq!((mean, flux), ([1.5, 1.5], [-1.5, 1.5]));
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit.
     pub fn gather(&self, scalar: &[f64], field: &[f64], other: &[f64], factor: f64, mean: &mut [f64], flux: &mut [f64]) -> Result<()> {
@@ -245,6 +263,16 @@ impl Domain {
 
     /// Densities on the elements: means over the corners and over the two ends of each interval. `nodal` has one slice more.
     ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let mut out = [0.0];
+    /// domain.densities(&[1.0, 3.0, 5.0, 7.0], &mut out)?; // two slices
+    /// assert_eq!(out, [4.0]);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit.
     pub fn densities(&self, nodal: &[f64], out: &mut [f64]) -> Result<()> {
@@ -265,6 +293,16 @@ impl Domain {
     }
 
     /// Gradients on the elements of each slice.
+    ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let mut out = [0.0];
+    /// domain.gradients(&[1.0, 4.0], &mut out)?;
+    /// assert_eq!(out, [3.0]);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
     ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit.
@@ -313,6 +351,17 @@ impl Domain {
     ///
     /// `M' = M - τ y_M + grad ψ`, `(y_R, y_M)' = Π(y_R + σ mean(2 P' - P), y_M + σ (2 M' - M))`, everything over-relaxed, where Π projects
     /// on `α + L*(β) <= 0`, the dual of the perspective `ρ L(M / ρ)` (Benamou and Brenier 2000; Papadakis, Peyré and Oudet 2014).
+    ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::{Domain, Step}};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let how = Step { primal: 1.0, dual: 1.0, relaxation: 1.0, power: 2.0 };
+    /// let (mut m, mut r, mut d) = ([0.0], [0.0], [0.0]);
+    /// domain.step(how, &[1.0], &[0.0; 4], &[-1.0; 4], &[0.0, 0.5], &mut m, &mut r, &mut d)?;
+    /// assert_eq!((m, r, d), ([0.5], [-2.0], [1.0])); // (-2, 1) satisfies α + β² / 2 <= 0 already
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
     ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit or an option is out of range.
@@ -408,6 +457,16 @@ impl Domain {
 
     /// Momenta of least `Σ a |M|^2 / (2 c)` with `div M = -rate` in each slice: `M = c grad u`. `conductivity` (slices, count) is
     /// positive; `rate` (slices, nodes) is integrated over the nodes' areas and adds up to zero on each component.
+    ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let mut m = [0.0];
+    /// domain.optimal_momentum(&[7.0], &[-2.0, 2.0], &mut m, &Control::default())?; // two units of mass go over, whatever it costs
+    /// assert!((m[0] - 2.0).abs() < 1e-14);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
     ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit; [`Error::Numerical`] if a conductivity is not positive; [`Error::Cancelled`] on request.

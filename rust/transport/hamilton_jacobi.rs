@@ -20,6 +20,16 @@ pub struct Repair {
 impl Domain {
     /// `h = Σ a/corners L*(grad φ)` of each slice, integrated over the nodes' areas, `L*(s) = weight^(1 - r) |s|^r / r`, `1/q + 1/r = 1`.
     ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let mut h = [0.0; 2];
+    /// domain.hamiltonian(&[0.0, 2.0], &[1.0], 2.0, &mut h)?; // |2|² / 2, half of it at each end
+    /// assert_eq!(h, [1.0, 1.0]);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit.
     pub fn hamiltonian(&self, potential: &[f64], weights: &[f64], power: f64, out: &mut [f64]) -> Result<()> {
@@ -71,6 +81,17 @@ impl Domain {
     /// `n (φ_k - φ_{k-1}) + (h_k + h_{k-1}) / 2 <= limit_k` holds at every node with mass, h per unit area. `limit` (intervals, nodes) has the
     /// slice between the intervals k - 1 and k at k; its first slice bounds `φ_0 + h_0 / (2 n)` itself where `bounded` says so.
     ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::{Domain, Repair}};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let shift = Repair { power: 2.0, passes: 0, share: 1.0, dilated: false };
+    /// let mut out = [0.0; 4];
+    /// domain.repair(&[0.0, 0.0, 1.0, 1.0], &[1.0], &[0.0; 4], false, shift, &mut out)?; // may not rise with time
+    /// assert_eq!(out, [0.0; 4]);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit.
     pub fn repair(&self, potential: &[f64], weights: &[f64], limit: &[f64], bounded: bool, how: Repair, out: &mut [f64]) -> Result<()> {
@@ -87,8 +108,7 @@ impl Domain {
         let components = self.grounds.len();
         let mut shift = vec![0.0; components]; // of the slices so far, on each component
         for k in 0..intervals {
-            let (done, rest) = out.split_at_mut(k * nodes);
-            let here = &mut rest[..nodes];
+            let here = &mut out[k * nodes..(k + 1) * nodes];
             for ((here, given), &label) in here.iter_mut().zip(&potential[k * nodes..]).zip(&self.labels) {
                 *here = given - shift[label as usize];
             }
@@ -147,7 +167,6 @@ impl Domain {
             for ((b, phi), (h, &mass)) in before.iter_mut().zip(&*here).zip(h.iter().zip(&self.mass)) {
                 *b = phi - if mass > 0.0 { h / mass / (2.0 * n) } else { 0.0 };
             }
-            debug_assert_eq!(done.len(), k * nodes);
         }
         Ok(())
     }
@@ -160,6 +179,17 @@ impl Domain {
     }
 
     /// Several repairs of the same potential side by side; see [`Domain::repair`].
+    ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::{Domain, Repair}};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// let ways = [0, 2].map(|passes| Repair { power: 2.0, passes, share: 1.0, dilated: false });
+    /// let mut out = [0.0; 8];
+    /// domain.repairs(&[0.0, 0.0, 1.0, 1.0], &[1.0], &[0.0; 4], false, &ways, &mut out)?;
+    /// assert_eq!(out, [0.0; 8]);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
     ///
     /// # Errors
     /// As [`Domain::repair`].

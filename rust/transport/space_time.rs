@@ -45,6 +45,16 @@ pub struct SpaceTime {
 impl SpaceTime {
     /// Factors the modes of `intervals` intervals; `memory` in bytes is what the factors may take (two are kept at least).
     ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// use beltrami::transport::{Ends, SpaceTime};
+    /// let solver = SpaceTime::new(&domain, 4, Ends::Free(4.0), 1.0, 1e9, &Control::default())?;
+    /// assert_eq!((solver.intervals(), solver.factors()), (4, 4));
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// [`Error::Input`] for no intervals or a scale that is not positive; [`Error::Numerical`] if a factor breaks down; [`Error::Cancelled`].
     pub fn new(domain: &Domain, intervals: usize, ends: Ends, scale: f64, memory: f64, control: &Control) -> Result<Self> {
@@ -138,6 +148,18 @@ impl SpaceTime {
 
     /// ψ for a right-hand side of integrals, (intervals, nodes). For fixed ends, what of it is constant in space and time is ignored, and ψ
     /// is determined up to such a constant on each component.
+    ///
+    /// ```
+    /// # use beltrami::{Control, shrink::Elements, transport::Domain};
+    /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
+    /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
+    /// use beltrami::transport::{Ends, SpaceTime};
+    /// let solver = SpaceTime::new(&domain, 1, Ends::Fixed, 1.0, 1e9, &Control::default())?;
+    /// let mut psi = [0.0; 2];
+    /// solver.solve(&domain, &[-1.0, 1.0], &mut psi, &Control::default())?;
+    /// assert!((psi[1] - psi[0] - 1.0).abs() < 1e-14);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
     ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit or a number is not finite; [`Error::Numerical`] on overflow.
