@@ -755,6 +755,14 @@ def register_conformal(
     best = min(candidates, key=lambda one: one.roughness)
     report(1.0)
 
+    if len(marks):
+        missed = b.distances(marks[:, 1])[np.arange(len(marks)), best.forward[marks[:, 0]]]
+        if missed.max() > 0.1:
+            row = int(np.argmax(missed))
+            task.notes.append(
+                f"the map misses {int((missed > 0.1).sum())} of {len(marks)} landmarks by more than 0.1 sqrt(area); the worst is landmark "
+                f"{row} (vertices {marks[row, 0]} and {marks[row, 1]}), by {missed[row]:.2f}: look whether it is right"
+            )
     there_and_back = np.sqrt(((a.points - a.points[best.backward[best.forward]]) ** 2).sum(1))
     area = a.unit**2
     weight = np.exp(pursuit.eta) * b.mass

@@ -238,6 +238,13 @@ def test_a_wrong_landmark_among_found_ones_is_dropped(spot: bt.TriangleMesh) -> 
     assert len(limbs.without_outliers(side, side, wrong, 7)) == 7  # what was given is never dropped
 
 
+def test_landmarks_that_cannot_be_right_are_named(spot: bt.TriangleMesh) -> None:
+    marks = np.repeat(bt.farthest_points(spot, 6), 2).reshape(-1, 2)
+    marks[:, 1] = np.roll(marks[:, 1], 1)  # each is somebody else's
+    r = bt.register_conformal(spot, spot, landmarks=marks, k=8, sweeps=0, refine=None)
+    assert any("misses" in note for note in r.notes)
+
+
 # --- other topology, clouds ---
 
 
