@@ -36,8 +36,45 @@ def _frozen_data(data: Mapping[str, Any] | None, count: int, what: str) -> Data:
     return MappingProxyType(kept)
 
 
+class _Shown:
+    """What meshes and clouds have in common towards other libraries and pictures."""
+
+    def to_trimesh(self: Any) -> Any:
+        """The shape as a ``trimesh.Trimesh`` or ``trimesh.PointCloud``: vertices and faces in order, ``data["colors"]`` as colours; other
+        data of a mesh as attributes.
+
+        Raises
+        ------
+        InputError
+            The shape lies in R^D with D > 3.
+        """
+        from .files import to_trimesh
+
+        return to_trimesh(self)
+
+    def to_pyvista(self: Any) -> Any:
+        """The shape as a ``pyvista.PolyData`` with its data; a cloud also with its normals and weights.
+
+        Raises
+        ------
+        DependencyError
+            pyvista is missing.
+        InputError
+            The shape lies in R^D with D > 3.
+        """
+        from .files import to_pyvista
+
+        return to_pyvista(self)
+
+    def plot(self, values: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
+        """Paints the shape to a ``.png`` or an interactive ``.html``; the options are those of :func:`beltrami.plot`."""
+        from .view import plot
+
+        return plot(self, values, path=path, **options)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class TriangleMesh:
+class TriangleMesh(_Shown):
     """A surface made of triangles, with vertices in R^D (D = 2, 3 or more).
 
     Parameters
@@ -87,38 +124,6 @@ class TriangleMesh:
         for name, value in (("vertices", vertices), ("faces", faces), ("data", MappingProxyType(data))):
             object.__setattr__(mesh, name, value)
         return mesh
-
-    def to_trimesh(self) -> Any:
-        """The mesh as a ``trimesh.Trimesh``: vertices and faces in order, ``data["colors"]`` as colours, other data as attributes.
-
-        Raises
-        ------
-        InputError
-            The mesh lies in R^D with D > 3.
-        """
-        from .files import to_trimesh
-
-        return to_trimesh(self)
-
-    def to_pyvista(self) -> Any:
-        """The mesh as a ``pyvista.PolyData`` with its data.
-
-        Raises
-        ------
-        DependencyError
-            pyvista is missing.
-        InputError
-            The mesh lies in R^D with D > 3.
-        """
-        from .files import to_pyvista
-
-        return to_pyvista(self)
-
-    def plot(self, values: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
-        """Paints the mesh to a ``.png`` or an interactive ``.html``; the options are those of :func:`beltrami.plot`."""
-        from .view import plot
-
-        return plot(self, values, path=path, **options)
 
     def __repr__(self) -> str:
         return f"TriangleMesh({len(self.vertices)} vertices in R^{self.dimension}, {len(self.faces)} faces)"
@@ -411,7 +416,7 @@ class MeshReport:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PointCloud:
+class PointCloud(_Shown):
     """Samples of a d-dimensional surface in R^D.
 
     Parameters
@@ -475,38 +480,6 @@ class PointCloud:
             if array is not None:
                 object.__setattr__(self, name, arrays.frozen(array[kept], array))
         object.__setattr__(self, "data", _frozen_data({name: array[kept] for name, array in self.data.items()}, int(kept.sum()), "point"))
-
-    def to_trimesh(self) -> Any:
-        """The points as a ``trimesh.PointCloud``, ``data["colors"]`` as colours.
-
-        Raises
-        ------
-        InputError
-            The points lie in R^D with D > 3.
-        """
-        from .files import to_trimesh
-
-        return to_trimesh(self)
-
-    def to_pyvista(self) -> Any:
-        """The points as a ``pyvista.PolyData`` with their data, normals and weights.
-
-        Raises
-        ------
-        DependencyError
-            pyvista is missing.
-        InputError
-            The points lie in R^D with D > 3.
-        """
-        from .files import to_pyvista
-
-        return to_pyvista(self)
-
-    def plot(self, values: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
-        """Paints the cloud to a ``.png`` or an interactive ``.html``; the options are those of :func:`beltrami.plot`."""
-        from .view import plot
-
-        return plot(self, values, path=path, **options)
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self.points)} points of a {self.dimension}-dimensional surface in R^{self.points.shape[1]})"

@@ -157,10 +157,11 @@ def test_errors_are_builtins_too():
 
 
 def test_import_is_quick():
-    """Less CPU time than numpy and scipy.sparse take themselves (measured .4 of it), on whatever machine."""
+    """In CPU time, against the import of numpy and of what it takes of scipy (measured .7 of that), so on whatever machine."""
     clock = "time.process_time()"
-    code = f"import time; a = {clock}; import numpy, scipy.sparse; b = {clock}; import beltrami; print(({clock} - b) / (b - a))"
-    assert min(float(run(code).stdout) for _ in range(3)) < 1.0
+    others = "import numpy, scipy.linalg, scipy.sparse.csgraph, scipy.sparse.linalg, scipy.spatial"
+    code = f"import time; a = {clock}; {others}; b = {clock}; import beltrami; print(({clock} - b) / (b - a))"
+    assert min(float(run(code).stdout) for _ in range(3)) < 1.4
 
 
 def test_heavy_packages_stay_out():
