@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from . import costs, examples, shapes
 from .barycenter import BarycenterResult, wasserstein_barycenter
+from . import costs, examples, molecules, shapes
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
 from .collection import DistanceMatrix, distance_matrix
 from .committor import CommittorResult, committor, reweight, sample_density
@@ -104,6 +105,7 @@ __all__ = [
     "load",
     "match_spectrum",
     "mean_field_game",
+    "molecules",
     "nearest_neighbors",
     "neighbors_within",
     "normals",

@@ -25,7 +25,7 @@ from .near import nearest_neighbors
 from .operators import Operators, operators
 from .progress import Progress, part, reporter
 from .sampling import poisson_disc
-from .shapes import PointCloud, Shape
+from .shapes import PointCloud, Shape, TriangleMesh
 from .solvers import Cholesky
 from .view import Page, Picture, plot
 from .weighted import Elements, Function, Longs, Mask
@@ -732,12 +732,30 @@ class CommittorResult:
         ahead, behind = _follow(self, starts, 1.0), _follow(self, starts, -1.0)
         return [np.concatenate([back[::-1], there[1:]]) for back, there in zip(behind, ahead, strict=True)]
 
-    def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
-        """Paints q with its contours; the options are those of :func:`beltrami.plot`."""
+    def plot(
+        self, *, path: str | os.PathLike[str] | None = None, surface: bool = True, streamlines: int = 0, **options: Any
+    ) -> Picture | Page:
+        """Paints q with its contours; the options are those of :func:`beltrami.plot`.
+
+        Parameters
+        ----------
+        surface : bool
+            Clouds of dimension 2 as the triangles that most of their stars agree on; False: as dots.
+        streamlines : int
+            How many lines of the reactive current to draw.
+        """
         shown = {"label": "committor", "limits": (0.0, 1.0), **options}
-        if self._dimension == 2 and "contours" not in shown:
+        shape, values, two = self.shape, self.q, self._dimension == 2
+        ops = self._system.ops
+        if two and surface and isinstance(ops, CloudOperators):
+            shape = TriangleMesh(ops.shape.points, ops.simplices[ops.votes >= 2])
+            values = self.q if self._kept is None else self.q[self._kept]
+        if two and "contours" not in shown:
             shown["contours"] = [k / 10 for k in range(1, 10)]
-        return plot(self.shape, self.q, path=path, **shown)
+        if streamlines:
+            shown.setdefault("lines", self.streamlines(streamlines))
+            shown.setdefault("line_color", "#ffffff")
+        return plot(shape, values, path=path, **shown)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, a row a point to ``.csv``, or a picture to ``.png`` or ``.html``."""

@@ -21,7 +21,18 @@ from ..errors import FileError, InputError
 
 __all__ = ["Outcome", "Sheet", "run", "section", "titles"]
 
-_MODULES = ("foundation", "spectra", "clouds", "segmentation", "sphere", "transport", "registration", "conformal_registration", "skeleton")
+_MODULES = (
+    "foundation",
+    "spectra",
+    "clouds",
+    "segmentation",
+    "sphere",
+    "transport",
+    "registration",
+    "conformal_registration",
+    "skeleton",
+    "committor",
+)
 
 SECTIONS: dict[str, Callable[[Sheet], None]] = {}
 
