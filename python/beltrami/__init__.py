@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from . import costs, examples, shapes
-from .barycenter import BarycenterResult, wasserstein_barycenter
 from . import costs, examples, molecules, shapes
+from .barycenter import BarycenterResult, wasserstein_barycenter
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
 from .collection import DistanceMatrix, distance_matrix
 from .committor import CommittorResult, committor, reweight, sample_density

@@ -817,6 +817,7 @@ def skeleton(options: Options) -> int:
         else:
             r.save(name)
         print(f"wrote {name}")
+    return DONE
 
 
 def _committor_options(parser: argparse.ArgumentParser) -> None:

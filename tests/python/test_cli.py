@@ -184,3 +184,29 @@ def test_transport_and_games(tmp_path, capsys):
     assert "exploitability" in capsys.readouterr().out
     assert main(["transport", *bob, *ends[:4], "--tolerance", "1e-9", "--max-iterations", "2"]) == 1
     assert "not converged" in capsys.readouterr().out
+
+
+def test_committor_prints_and_writes(tmp_path, capsys):
+    x = np.random.default_rng(0).uniform([-1.5, -0.5], [1.5, 0.5], (800, 2))
+    energy, a, b = (x[:, 0] ** 2 - 1) ** 2, x[:, 0] < -0.8, x[:, 0] > 0.8
+    np.savez(tmp_path / "in.npz", points=x, potential=energy, A=a, B=b)
+    np.savetxt(tmp_path / "in.csv", np.c_[x, energy, a, b], delimiter=",", header="x,y,potential,A,B", comments="", fmt="%.17g")
+    outs = [item for name in ("q.npz", "q.csv", "q.png") for item in ("-o", str(tmp_path / name))]
+    assert main(["committor", str(tmp_path / "in.npz"), "--beta", "4", "--size", "300x200", *outs]) == 0
+    assert "verdict" in capsys.readouterr().out
+    exact = bt.committor(bt.PointCloud(x), energy, a, b, beta=4.0)
+    with np.load(tmp_path / "q.npz") as written:
+        assert np.array_equal(written["q"], exact.q)
+        assert float(written["rate"]) == exact.rate
+    assert main(["committor", str(tmp_path / "in.csv"), "--beta", "4", "-o", str(tmp_path / "again.npz")]) == 0
+    with np.load(tmp_path / "again.npz") as written:
+        assert np.array_equal(written["q"], exact.q)
+    ball = ["--A", "ball:-1,0,0.3", "--B", "ball:1,0,0.3"]
+    assert main(["committor", str(tmp_path / "in.npz"), "--beta", "4", *ball]) == 0
+    for wrong in (
+        ["--beta", "-1"],
+        ["--beta", "4", "--A", "absent"],
+        ["--beta", "4", "--A", "ball:1"],
+        ["--beta", "4", "--potential", "no"],
+    ):
+        assert main(["committor", str(tmp_path / "in.npz"), *wrong]) == 2
