@@ -59,9 +59,7 @@ def target_measure(x: np.ndarray, u: np.ndarray, a: np.ndarray, b: np.ndarray, e
 
 
 def with_pydiffmap(x: np.ndarray, u: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, float]:
-    found = diffusion_map.TMDmap.from_sklearn(
-        alpha=1.0, k=200, epsilon="bgh", change_of_measure=lambda p: np.exp(-BETA * energy(np.atleast_2d(p)))
-    )
+    found = diffusion_map.TMDmap(alpha=1.0, k=200, epsilon="bgh", change_of_measure=lambda p: np.exp(-BETA * energy(np.atleast_2d(p))))
     found.fit(x)
     generator = sparse.csr_array(found.L)
     q, free = b.astype(float), np.flatnonzero(~(a | b))

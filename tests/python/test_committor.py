@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sparse
 import scipy.sparse.linalg as linalg
 from beltrami import weighted
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 Floats = npt.NDArray[np.float64]
@@ -194,6 +194,7 @@ def test_identities_on_the_torus() -> None:
     assert r.rate == pytest.approx(r.rate_constant * r.share_A) == pytest.approx(r.rate_constant_backward * (1 - r.share_A))
 
 
+@settings(deadline=None)  # the machine may be busy
 @given(seed=st.integers(0, 10_000), steepness=st.floats(0.0, 30.0), count=st.integers(12, 200))
 def test_q_is_a_probability_whatever_the_potential(seed: int, steepness: float, count: int) -> None:
     rng = np.random.default_rng(seed)
