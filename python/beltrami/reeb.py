@@ -14,7 +14,8 @@ from . import _core
 from .arrays import Floats, Ints
 from .complexes import Complex, Indices, sides, unique_edges
 
-LEVELS = 150  # at most
+LEVELS = 150  # at most, beside those between critical vertices
+CROSSINGS = 5_000_000  # of edges and levels between critical vertices, at most: a function of noise has thousands of levels
 LIMB = 1.4  # a limb is at least this many times longer than it is wide at its root
 
 
@@ -265,8 +266,9 @@ def _levels(values: Floats, complex_: Complex) -> tuple[Floats, Floats, Callable
     return np.interp(wanted, arc, grid), np.array([arc[-1], arc[-1] / number]), lambda level: np.interp(level, grid, arc)
 
 
-def reeb_graph(complex_: Complex, values: Floats, report: Any) -> tuple[ReebGraph, float, float, tuple[int, int, int]]:
-    """The graph, the arc length of the function, the distance of levels, and the numbers of minima, saddles and maxima (meshes)."""
+def reeb_graph(complex_: Complex, values: Floats, report: Any) -> tuple[ReebGraph, float, float, tuple[int, int, int], bool]:
+    """The graph, the arc length of the function, the distance of levels, the numbers of minima, saddles and maxima (meshes), and
+    whether there is a level between any two critical vertices."""
     n = len(values)
     order = np.lexsort((np.arange(n), values))
     ranks = np.empty(n, np.int64)
@@ -276,7 +278,7 @@ def reeb_graph(complex_: Complex, values: Floats, report: Any) -> tuple[ReebGrap
     cuts = np.searchsorted(ascending, levels, side="right")
     keep = (cuts > 0) & (cuts < n) & (np.diff(cuts, prepend=0) > 0)
     cuts, levels = cuts[keep], levels[keep]
-    counts = (0, 0, 0)
+    counts, exact = (0, 0, 0), True
     if complex_.is_mesh:
         lower, upper, used = _critical(complex_.cells, ranks)
         counts = (int((used & (lower == 0)).sum()), int(np.maximum(lower - 1, 0).sum()), int((used & (upper == 0)).sum()))
@@ -285,12 +287,16 @@ def reeb_graph(complex_: Complex, values: Floats, report: Any) -> tuple[ReebGrap
             low, high = special[:-1], special[1:]
             missing = np.searchsorted(cuts, high, side="right") == np.searchsorted(cuts, low, side="right")
             extra = ((low + high + 1) // 2)[missing]
+            a, b = ranks[complex_.edges.T]
+            crossings = np.abs(np.searchsorted(extra, a, side="right") - np.searchsorted(extra, b, side="right")).sum()
+            if crossings > CROSSINGS:
+                exact, extra = False, extra[:0]
             cuts = np.concatenate([cuts, extra])
             levels = np.concatenate([levels, 0.5 * ascending[extra - 1] + 0.5 * ascending[extra]])
             by_cut = np.argsort(cuts, kind="stable")
             cuts, levels = cuts[by_cut], levels[by_cut]
     graph = ReebGraph(complex_, values, ranks, cuts, levels, arc(levels), report)
-    return graph, float(length), float(step), counts
+    return graph, float(length), float(step), counts, exact
 
 
 def _critical(faces: Ints, ranks: Indices) -> tuple[Indices, Indices, npt.NDArray[np.bool_]]:
@@ -341,25 +347,24 @@ class SimplifiedGraph:
 
     def join(self) -> None:
         """Makes one limb of the two at each joint of two; a limb that is a loop keeps its joint."""
-        while True:
-            at: dict[int, list[Limb]] = defaultdict(list)
-            for limb in self.limbs:
-                at[limb.ends[0]].append(limb)
-                at[limb.ends[1]].append(limb)
-            joint = next((joint for joint, limbs in sorted(at.items()) if len(limbs) == 2 and limbs[0] is not limbs[1]), None)
-            if joint is None:
-                return
+        at: dict[int, list[Limb]] = defaultdict(list)
+        for limb in self.limbs:
+            at[limb.ends[0]].append(limb)
+            at[limb.ends[1]].append(limb)
+        gone: set[int] = set()
+        for joint in sorted(at):
+            if len(at[joint]) != 2 or at[joint][0] is at[joint][1]:
+                continue
             first, second = at[joint]
+            # the first one grows: it ends at the joint, and the second one follows
             if first.ends[1] != joint:
-                first = Limb(first.ends[::-1], first.groups[::-1])
-            if second.ends[0] != joint:
-                second = Limb(second.ends[::-1], second.groups[::-1])
-            fallen = self.fallen.pop(joint, [])
-            self.limbs = [limb for limb in self.limbs if limb is not at[joint][0] and limb is not at[joint][1]]
-            whole = Limb([first.ends[0], second.ends[1]], first.groups + second.groups)
-            self.limbs.append(whole)
-            if fallen:
-                self.stray.extend((group, first.groups[-1]) for group in fallen)
+                first.ends, first.groups = first.ends[::-1], first.groups[::-1]
+            ends, groups = (second.ends, second.groups) if second.ends[0] == joint else (second.ends[::-1], second.groups[::-1])
+            self.stray.extend((group, first.groups[-1]) for group in self.fallen.pop(joint, []))
+            first.ends, first.groups = [first.ends[0], ends[1]], first.groups + groups
+            gone.add(id(second))
+            at[ends[1]][next(k for k, limb in enumerate(at[ends[1]]) if limb is second)] = first
+        self.limbs = [limb for limb in self.limbs if id(limb) not in gone]
 
     def reach(self, limb: Limb, end: int) -> tuple[float, float]:
         """Length of a limb from its root to the tip at ``end``, and how many times farther the tip is than the root is wide."""
@@ -374,19 +379,29 @@ class SimplifiedGraph:
         """Cuts limbs that end, the shortest first: those below ``shortest``, and those less than ``LIMB`` times as long as wide."""
         while True:
             degree = self.degrees()
-            worst: tuple[float, float, int, int] | None = None
+            failing: list[tuple[float, float, int, int]] = []
             for number, limb in enumerate(self.limbs):
                 if (degree[limb.ends[0]] == 1) == (degree[limb.ends[1]] == 1):
                     continue  # inner, or all there is
                 end = 0 if degree[limb.ends[0]] == 1 else 1
                 length, ratio = self.reach(limb, end)
-                if (length < shortest or ratio < LIMB) and (worst is None or length < worst[0]):
-                    worst = (length, ratio, number, end)
-            if worst is None:
+                if length < shortest or ratio < LIMB:
+                    failing.append((length, ratio, number, end))
+            if not failing:
                 return
-            limb = self.limbs.pop(worst[2])
-            self.cut.append(worst[1])
-            self.fallen[limb.ends[1 - worst[3]]] += limb.groups
+            failing.sort()
+            # one at a joint at a time, because what is left there may become a limb that is long enough; of many the shortest quarter
+            touched: set[int] = set()
+            cut: set[int] = set()
+            for _, ratio, number, end in failing:
+                joint = self.limbs[number].ends[1 - end]
+                if joint in touched or 4 * len(cut) > max(len(failing) - 16, 0):
+                    continue
+                touched.add(joint)
+                cut.add(number)
+                self.cut.append(ratio)
+                self.fallen[joint] += self.limbs[number].groups
+            self.limbs = [limb for number, limb in enumerate(self.limbs) if number not in cut]
             self.join()
 
     def contract(self) -> None:

@@ -352,7 +352,7 @@ def skeleton(
             f = np.ascontiguousarray(values[piece.origin])
         if not f.max() / 2 - f.min() / 2 > 0:
             raise InputError("the function is constant on a connected piece of the shape; hand in one that varies")
-        parts.append(_one(piece, f, given, shortest_limb, part(report, 0.7, 0.9)))
+        parts.append(_one(piece, f, given, shortest_limb, notes, part(report, 0.7, 0.9)))
     return _assembled(given, complex_, labels, parts, function_out, eigenvalues, notes)
 
 
@@ -516,9 +516,11 @@ class _Part:
     counts: tuple[int, int, int]
 
 
-def _one(complex_: Complex, values: Floats, shape: Shape, shortest_limb: float, report: Any) -> _Part:
+def _one(complex_: Complex, values: Floats, shape: Shape, shortest_limb: float, notes: list[str], report: Any) -> _Part:
     middle, half = values.max() / 2 + values.min() / 2, values.max() / 2 - values.min() / 2
-    graph, length, step, counts = reeb_graph(complex_, (values - middle) / half, report)  # from -1 to 1: no scale is too large
+    graph, length, step, counts, exact = reeb_graph(complex_, (values - middle) / half, report)  # from -1 to 1: no scale is too large
+    if not exact:
+        notes.append(f"the function has {sum(counts)} critical vertices, too many for a level between any two: loops may be missing")
     cancelled = [] if complex_.is_mesh else graph.cancel_loops(complex_.spacing, step)
     kept = [loop[0] for loop in graph.loops()]
     simple = SimplifiedGraph(graph)

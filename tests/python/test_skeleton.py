@@ -394,3 +394,12 @@ def test_a_loop_of_one_level_is_a_loop() -> None:
         r = bt.skeleton(shape)
         assert (r.cycles, r.leaves) == (1, 0)
         assert counted(r) == (1, 1, 0)
+
+
+def test_a_function_of_noise_ends_and_says_so() -> None:
+    mesh = bt.shapes.torus(1.0, 0.4)
+    r = bt.skeleton(mesh, function=np.random.default_rng(0).normal(size=len(mesh.vertices)))
+    minima, saddles, maxima = r.critical
+    assert minima - saddles + maxima == 0
+    assert len(r.cut) > 100
+    assert r.cycles == 1 or any("too many" in note for note in r.notes)
