@@ -494,6 +494,8 @@ class CommittorDiagnostics:
         Connected pieces of the shape.
     certified : float or None
         Share of certified stars; None for meshes.
+    agreed : float
+        Share of the area in simplices that all their corners' stars hold; 1 for meshes.
     transition_points : int
         Points with 0.1 < q < 0.9.
     effective_sample_size : float
@@ -511,6 +513,7 @@ class CommittorDiagnostics:
     outside: float
     pieces: int
     certified: float | None
+    agreed: float
     transition_points: int
     effective_sample_size: float
     transition_sample_size: float
@@ -530,6 +533,11 @@ class CommittorDiagnostics:
             found.append(f"beta U changes by {self.steepest:.2g} along the edges that carry the current: take more points there")
         if self.certified is not None and self.certified < 0.99:
             found.append(f"{100 * (1 - self.certified):.2g} % of the stars are not certified")
+        if self.agreed < 0.8:
+            found.append(
+                f"the stars disagree about {100 * (1 - self.agreed):.0f} % of the area: the surface is sampled too sparsely there, or in a "
+                "grid, whose cells are better given as a mesh"
+            )
         if self.rate_mismatch > 0.1:
             found.append(f"the two estimates of the rate differ by {100 * self.rate_mismatch:.2g} %")
         return tuple(found)
@@ -1130,6 +1138,7 @@ def _diagnosed(system: _System, outside: float, mismatch: float) -> CommittorDia
         outside=outside,
         pieces=int(ops.component_labels.max()) + 1,
         certified=ops.certified if isinstance(ops, CloudOperators) else None,
+        agreed=float(mesh.volumes[mesh.share > 0.999].sum() / mesh.volumes.sum()),
         transition_points=int(((q > 0.1) & (q < 0.9)).sum()),
         effective_sample_size=effective(gibbs),
         transition_sample_size=effective(transition),

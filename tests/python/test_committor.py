@@ -134,6 +134,14 @@ def test_mesh_and_cloud_agree() -> None:
     assert on_mesh.rate == pytest.approx(on_cloud.rate, rel=1e-3)
 
 
+def test_grids_on_curved_surfaces_are_called_doubtful() -> None:
+    """Four points of a torus' grid lie on a circle: their stars cannot agree on a diagonal, and areas are off by some percent."""
+    x = bt.shapes.torus(2.0, 0.8, rows=60, columns=24).vertices
+    a, b = ends(x)
+    assert "disagree" in bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0).verdict
+    assert bt.committor(bt.PointCloud(torus(1500, 3)), wells, *ends(torus(1500, 3)), beta=1.0).diagnostics.agreed > 0.9
+
+
 def test_circulation_leaves_the_density_and_turns_the_committors() -> None:
     """Around a ring with U = 0 and drift c, q+ solves q'' + β c q' = 0: exponentials on both arcs between A (angle 0) and B (angle π)."""
     count, c = 400, 0.7
