@@ -80,16 +80,16 @@ impl Forest {
 ///
 /// ```
 /// use beltrami::{Control, reeb::{Sliced, contour_graph}};
-/// // a square ring of eight vertices, its edges only: two branches between the lowest and the highest
+/// // a ring of eight vertices, its edges only: its middle cut has two contours, one on each branch
 /// let cells: Vec<u32> = (0..8).flat_map(|i| [i, (i + 1) % 8]).collect();
 /// let values = [0.0, 1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 1.0];
 /// let ranks = [0, 1, 3, 5, 7, 6, 4, 2];
 /// let points: Vec<f64> = values.iter().flat_map(|&v| [v, 0.0]).collect();
-/// let (cuts, levels) = ([1, 7], [0.5, 3.5]);
+/// let (cuts, levels) = ([1, 3, 7], [0.5, 1.5, 3.5]);
 /// let sliced = Sliced { points: &points, dimension: 2, cells: &cells, size: 2, values: &values, ranks: &ranks,
 ///                       cuts: &cuts, levels: &levels, weights: &[1.0; 8] };
 /// let graph = contour_graph(&sliced, &Control::default())?;
-/// assert_eq!((graph.cut, graph.regions), (vec![0, 1], 4));
+/// assert_eq!((graph.cut, graph.regions), (vec![0, 1, 1, 2], 4));
 /// # Ok::<(), beltrami::Error>(())
 /// ```
 ///
