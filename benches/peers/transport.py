@@ -1,12 +1,13 @@
 """Dynamic transport beside Lavenant's ADMM in numpy: the same sphere, the same two zonal densities, one run, one thread.
 
-The peer is the iteration of Lavenant, Claici, Chien and Solomon (Dynamical optimal transport on discrete surfaces, 2018) as the paper states
-it: a potential at vertices and times; its time derivative and a copy of its gradient for each corner of each triangle and either end of an
-interval as the split variables; a space-time Poisson equation, which is solved here by one sparse factor a mode of time; the projection of each
-vertex and interval on the paraboloid (one cubic); multipliers, and a penalty that balances the residuals. No Python loop over vertices.
+The peer is the iteration of Lavenant, Claici, Chien and Solomon (Dynamical optimal transport on discrete surfaces, 2018) as the
+paper states it: a potential at vertices and times; its time derivative and a copy of its gradient for each corner of each
+triangle and either end of an interval as the split variables; a space-time Poisson equation, which is solved here by one sparse
+factor a mode of time; the projection of each vertex and interval on the paraboloid (one cubic); multipliers, and a penalty that
+balances the residuals. No Python loop over vertices.
 
-It has no certificate, so it is stopped by the known answer (monotone rearrangement of the polar angle): when its W2² comes as near to that as
-ours is, or nearer, and stays there. Both are timed by processor time.
+It has no certificate, so it is stopped by the known answer (monotone rearrangement of the polar angle): when its W2² comes as
+near to that as ours is, or nearer, and stays there. Both are timed by processor time.
 
     python benches/peers/transport.py [--level 3] [--intervals 16] [--most 600]
 """
@@ -21,7 +22,6 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 from scipy.sparse.linalg import splu
-
 
 CASES = {
     "smooth, positive everywhere": ((lambda z: np.exp(3 * (z - 1)) + 0.08), (lambda z: np.exp(-6 * (z + 0.3) ** 2) + 0.06)),
@@ -80,7 +80,7 @@ def lavenant(mesh: bt.TriangleMesh, start: np.ndarray, end: np.ndarray, n: int, 
         at_times[1:] += field[:, 1]
         right += np.stack([adjoint @ x.ravel() for x in at_times])
         spectral = modes.T @ right
-        phi = modes @ np.stack([solver.solve(x) for solver, x in zip(solvers, spectral)]) / r
+        phi = modes @ np.stack([solver.solve(x) for solver, x in zip(solvers, spectral, strict=True)]) / r
         # the projection
         rate, slope = np.diff(phi, axis=0) / dt, np.stack([(gradient @ x).reshape(m, 3) for x in phi])
         slopes = np.stack([slope[:-1], slope[1:]], axis=1)[:, :, :, None, :]

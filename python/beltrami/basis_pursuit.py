@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 
 from . import arrays, limbs
 from .arrays import Floats

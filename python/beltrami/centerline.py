@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from .arrays import Floats, Ints
 from .complexes import Complex, Indices
@@ -187,11 +188,11 @@ class Section:
         else:  # the points themselves, also those that were too noisy for the complex
             self.points = complex_.sources
             nearest = owners if len(owners) == len(self.points) else owners[nearest_neighbors(complex_.points, self.points, 1)[0][:, 0]]
-            self.trees: dict[int, tuple[Floats, cKDTree]] = {}
+            self.trees: dict[int, tuple[Floats, Any]] = {}
             for number, chain in enumerate(drawing.chains):
                 mine = self.points[np.isin(nearest, chain)]
                 if len(mine):
-                    self.trees[number] = (mine, cKDTree(mine))
+                    self.trees[number] = (mine, scipy.spatial.cKDTree(mine))
 
     def holds(self, x: Floats) -> npt.NDArray[np.bool_]:
         """Which points lie inside the mesh: most rays in six directions leave it."""

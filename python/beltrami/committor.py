@@ -12,10 +12,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components, dijkstra
-from scipy.sparse.linalg import splu
-from scipy.special import logsumexp, ndtri
 
 from . import arrays, weighted
 from .arrays import Floats
@@ -109,7 +107,7 @@ def _reached(mesh: Elements, a: Mask, b: Mask) -> None:
     used = np.zeros(count, bool)
     used[mesh.simplices] = True
     graph = sparse.coo_array((np.ones(len(mesh.first)), (mesh.first, mesh.second)), shape=(count, count))
-    pieces, label = connected_components(graph, directed=False)
+    pieces, label = sparse.csgraph.connected_components(graph, directed=False)
     has_a, has_b = (np.bincount(label[s], minlength=pieces) > 0 for s in (a, b))
     lost = np.flatnonzero(~(has_a | has_b)[label])
     if len(lost):
@@ -284,7 +282,7 @@ def _strong(ops: Operators, u: Floats, a: Mask, b: Mask, circulation: Floats | N
     scale = 1 / np.maximum(abs(matrix).sum(1), 1e-300)[free]
     inner = sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
     try:
-        q[free] = splu(inner).solve(-scale * (matrix[free] @ q))
+        q[free] = sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
     except RuntimeError as error:
         raise NumericalError(f"the strong form has no solution on these points ({error}); take the weak form, or more points") from None
     if not np.isfinite(q).all():
@@ -312,7 +310,7 @@ def _rotating(system: _System, circulation: Floats, backwards: bool) -> Floats:
     q = (a if backwards else b).astype(float)
     scale = 1 / matrix.diagonal()[free]
     inner = sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
-    q[free] = splu(inner).solve(-scale * (matrix[free] @ q))
+    q[free] = sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
     if not np.isfinite(q).all():
         raise NumericalError("the committor of this circulation is not finite; its drift is too strong for the spacing of the points")
     found: Floats = np.clip(q, 0, 1)
@@ -416,14 +414,14 @@ def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float 
     bias = -states[:, None] * shifted[None]
     free = np.zeros(len(states))
     for _ in range(10_000):
-        mixture = logsumexp(np.log(counts)[:, None] + free[:, None] + bias, axis=0)
-        new = -logsumexp(bias - mixture, axis=1)
+        mixture = scipy.special.logsumexp(np.log(counts)[:, None] + free[:, None] + bias, axis=0)
+        new = -scipy.special.logsumexp(bias - mixture, axis=1)
         new -= new[0]
         done = np.abs(new - free).max() <= tolerance
         free = new
         if done:
             break
-    mixture = logsumexp(np.log(counts)[:, None] + free[:, None] + bias, axis=0)
+    mixture = scipy.special.logsumexp(np.log(counts)[:, None] + free[:, None] + bias, axis=0)
     logarithm = -wanted * shifted - mixture
     weight = np.exp(logarithm - logarithm.max())
     found: Floats = weight / weight.sum()
@@ -718,7 +716,7 @@ class CommittorResult:
         n = len(mesh.points)
         graph = sparse.csr_array(sparse.coo_array((cost, (mesh.first, mesh.second)), shape=(n, n)))
         sources = np.flatnonzero(a)
-        distance, before, _ = dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)
+        distance, before, _ = sparse.csgraph.dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)
         ends = np.flatnonzero(b & np.isfinite(distance))
         at = int(ends[np.argmin(distance[ends])])
         chain = []
@@ -825,7 +823,7 @@ def _passage(system: _System, which: int) -> Floats:
     free = np.flatnonzero(~members)
     reach = np.zeros(len(members))
     graph = sparse.coo_array((np.ones(len(mesh.first)), (mesh.first, mesh.second)), shape=(len(members),) * 2)
-    label = connected_components(graph, directed=False)[1]
+    label = sparse.csgraph.connected_components(graph, directed=False)[1]
     joined = np.isin(label[free], label[members])
     reach[free[~joined]] = np.inf
     free = free[joined]
@@ -920,10 +918,10 @@ def _fluxes(system: _System, partition: float, slabs: int = 8) -> Floats:
     Fitted is the normal quantile of q, which is nearly linear across a barrier where q itself is steep.
     """
     mesh, q = system.mesh, system.q
-    quantile = ndtri(np.clip(q[: system.count], TAIL, 1 - TAIL))
+    quantile = scipy.special.ndtri(np.clip(q[: system.count], TAIL, 1 - TAIL))
     gradient = system.prolong(_recovered(system.ops, quantile))
     square = np.square(gradient[mesh.simplices].mean(1)).sum(1)
-    middle = ndtri(np.clip(q[mesh.simplices].mean(1), TAIL, 1 - TAIL))
+    middle = scipy.special.ndtri(np.clip(q[mesh.simplices].mean(1), TAIL, 1 - TAIL))
     # exp(-βU) |grad q| is smooth, exp(-βU) is not: harmonic means along the edges, averaged
     weight = system.weights[mesh.pairs].mean(1)
     energy = mesh.volumes * weight * square * np.exp(-middle * middle) / (2 * np.pi * system.beta * partition)

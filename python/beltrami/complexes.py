@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from .arrays import Floats, Ints
 from .clouds import CloudOperators
@@ -130,20 +129,20 @@ def _oriented(points: Floats) -> tuple[Floats, float]:
     reflected = same - 2 * a * b
     steep = np.maximum(a * a, b * b)
     cost = 1 - np.abs(reflected) + steep + 3 * (shares[i] + shares[j]) + 1e-6
-    forest = minimum_spanning_tree(sparse.coo_array((cost, (i, j)), shape=(count, count)).tocsr()).tocoo()
+    forest = sparse.csgraph.minimum_spanning_tree(sparse.coo_array((cost, (i, j)), shape=(count, count)).tocsr()).tocoo()
     p, q = forest.coords
     along = points[q] - points[p]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     turn = np.einsum("ed,ed->e", normals[p], normals[q])
     turn -= 2 * np.einsum("ed,ed->e", along, normals[p]) * np.einsum("ed,ed->e", along, normals[q])
     tree = sparse.coo_array((np.ones(2 * len(p)), (np.r_[p, q], np.r_[q, p])), shape=(count, count)).tocsr()
-    pieces, labels = connected_components(tree, directed=False)
+    pieces, labels = sparse.csgraph.connected_components(tree, directed=False)
     signs = np.ones(count)
     for piece in range(pieces):
         members = np.flatnonzero(labels == piece)
         away = points[members] - points[members].mean(0)
         root = members[np.argmax(np.einsum("nd,nd->n", away, away))]
-        order, before = breadth_first_order(tree, root, directed=False)
+        order, before = sparse.csgraph.breadth_first_order(tree, root, directed=False)
         mine = labels[p] == piece
         child = np.where(before[p] == q, p, q)[mine]
         kept = np.ones(count)

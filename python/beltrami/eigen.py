@@ -78,7 +78,7 @@ class Eigenpairs:
         first = 1 if count > 1 else 0
         chosen = range(first, min(count, first + 6)) if modes is None else np.atleast_1d(np.asarray(modes))
         columns = [arrays.whole(mode, "modes", 0, count - 1) for mode in chosen]
-        shown = {f"mode {mode}, λ = {self.values[mode]:.4g}": self.functions[:, mode] for mode in columns}
+        shown = {f"mode {mode}, λ = {self.values[mode] + 0.0:.4g}": self.functions[:, mode] for mode in columns}
         if not shown:
             raise InputError("modes is empty; name at least one")
         options = {"contours": [0.0], "color_bar": False, **options}

@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import dijkstra
 
 from .arrays import Floats
 from .conformal import SphericalMapResult
@@ -76,7 +75,7 @@ class Surface:
 
     def distances(self, sources: Indices) -> Floats:
         """(sources, n): along the edges."""
-        found: Floats = np.atleast_2d(dijkstra(self.graph, directed=False, indices=np.asarray(sources)))
+        found: Floats = np.atleast_2d(sparse.csgraph.dijkstra(self.graph, directed=False, indices=np.asarray(sources)))
         return found
 
 

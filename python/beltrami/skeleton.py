@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from . import _core, arrays
 from .arrays import Floats, Ints
@@ -233,7 +232,7 @@ class SkeletonResult:
         for piece in np.unique(self.components):
             members = np.flatnonzero(self.components == piece)
             root = members[np.argmax(self.radii[members])]
-            order, parents = breadth_first_order(tree, root, directed=False)
+            order, parents = sparse.csgraph.breadth_first_order(tree, root, directed=False)
             for node in order.tolist():
                 number[node] = len(number)
                 x, y, z = self.nodes[node].tolist()
@@ -469,7 +468,7 @@ def _pieces(complex_: Complex, components: bool, notes: list[str]) -> Indices:
     n = len(complex_.points)
     a, b = complex_.edges.T
     graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-    number, labels = connected_components(graph, directed=False)
+    number, labels = sparse.csgraph.connected_components(graph, directed=False)
     sizes = np.bincount(labels, minlength=number)
     least = 4 if complex_.is_mesh else max(10, int(0.01 * n))
     kept = np.flatnonzero(sizes >= least)
