@@ -9,7 +9,7 @@ spherical conformal maps (:mod:`beltrami.limbs`), from landmarks, features or :f
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -326,6 +326,12 @@ def _aligned(source: Surface, phi: Floats, psi: Floats, weight: Floats, forward:
     u, _, v = np.linalg.svd(both)
     found: Floats = u @ v
     return found
+
+
+def _smoothest(candidates: Sequence[_Candidate]) -> _Candidate:
+    """The least rough; of equals, as the turns of a symmetric shape are, the first, which was made from the landmarks."""
+    least = min(one.roughness for one in candidates)
+    return next(one for one in candidates if one.roughness <= (1 + 1e-6) * least)
 
 
 def _upsampled(task: _Task, phi: Floats, start: _Candidate, levels: Iterable[int], report: Callable[[float], None]) -> _Candidate:
@@ -728,7 +734,7 @@ def register_conformal(
 
     candidates, settled = _starts(task, start, report)
     report(0.4)
-    best = min(candidates, key=lambda one: one.roughness)
+    best = _smoothest(candidates)
     size = max(k, min(finest or k, min(counts) // 4))
     pairs = eigenpairs(a.stiffness, size, mass=a.mass)
     if finest is not None:
@@ -737,14 +743,14 @@ def register_conformal(
             candidates.append(_upsampled(task, pairs.functions, best, levels, report))
         except (ConvergenceError, NumericalError) as error:
             task.notes.append(f"not refined: {error}")
-        best = min(candidates, key=lambda one: one.roughness)
+        best = _smoothest(candidates)
     report(0.6)
     if not settled:
         try:
             candidates.append(_registered_start(task))
         except (InputError, NumericalError, ConvergenceError) as error:
             task.notes.append(f"no near-isometric start: {error}")
-        best = min(candidates, key=lambda one: one.roughness)
+        best = _smoothest(candidates)
     report(0.7)
 
     phi = pairs.functions[:, :k]
@@ -752,7 +758,7 @@ def register_conformal(
     left, right = phi, pursuit.psi
     found = _candidate("pursuit", a, b, nearest_rows(right, left), nearest_rows(left, right), best.marks)
     candidates.append(found)
-    best = min(candidates, key=lambda one: one.roughness)
+    best = _smoothest(candidates)
     report(1.0)
 
     if len(marks):

@@ -450,12 +450,12 @@ def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: 
     assert source.faces is not None
     assert target.normals is not None
     positions = start
-    marks = _marks(source, 0.02)
-    rows = np.concatenate([target.positions, 0.07 * target.normals, _marks(target, 0.02)], 1)
+    marks = _marks(source, 0.03)
+    rows = np.concatenate([target.positions, 0.05 * target.normals, _marks(target, 0.03)], 1)
 
     def nearest() -> tuple[Ints, Ints]:
         assert source.faces is not None
-        moved = np.concatenate([positions, 0.07 * vertex_normals(positions, source.faces), marks], 1)
+        moved = np.concatenate([positions, 0.05 * vertex_normals(positions, source.faces), marks], 1)
         return _core.nearest_neighbors(rows, moved, 1)[0][:, 0], _core.nearest_neighbors(moved, rows, 1)[0][:, 0]
 
     n = len(source.mass)
