@@ -50,7 +50,7 @@ check: build ## formatting, lints, types, stubs
 	@cargo fmt --version >/dev/null 2>&1 && cargo clippy --version >/dev/null 2>&1 || rustup component add rustfmt clippy
 	cargo fmt --all --check
 	cargo clippy --release --workspace --all-targets --quiet -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --quiet
+	RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --quiet
 	$(BIN)/ruff check python tests benches examples docs
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy.stubtest beltrami._core
@@ -59,7 +59,7 @@ bars: build ## the acceptance checks beside the project, where they are present
 	@if [ -f ../shared/checks/all.py ]; then $(BIN)/python ../shared/checks/all.py; else echo "../shared/checks is absent: no bars to hold against"; fi
 
 docs: build ## the site: site/index.html, with a reference of all names
-	cargo doc --no-deps --quiet
+	cargo doc --release --no-deps --quiet
 	$(BIN)/python docs/build.py
 
 bench: build ## times of the kernels, and side by side with other libraries where they are installed
