@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -121,7 +122,7 @@ def power(exponent: float, weight: npt.ArrayLike = 1.0) -> Lagrangian:
     return Lagrangian(q, _positive(weight))
 
 
-class Cost:
+class Cost(ABC):
     """A convex cost of densities, vertex by vertex: ``∫ F(x, ρ(x)) dx`` with ρ from 0 to ``upper``.
 
     Subclasses give ``value`` and ``derivative`` (nondecreasing in the density); ``prox``, ``maximizer`` and ``conjugate`` follow from
@@ -138,13 +139,13 @@ class Cost:
     upper: Any = None
     superlinear: bool = True
 
+    @abstractmethod
     def value(self, density: Floats) -> Floats:
         """F(ρ), per unit area."""
-        raise NotImplementedError
 
+    @abstractmethod
     def derivative(self, density: Floats) -> Floats:
         """F'(ρ); at ρ = 0 it may be very negative but must be finite."""
-        raise NotImplementedError
 
     def prox(self, density: Floats, step: float) -> Floats:
         """The p from 0 to ``upper`` with the least ``step F(p) + (p - density)² / 2``."""
