@@ -161,11 +161,13 @@ def test_import_is_quick():
     clock = "time.process_time()"
     others = "import numpy, scipy.linalg, scipy.sparse.csgraph, scipy.sparse.linalg, scipy.spatial"
     code = f"import time; a = {clock}; {others}; b = {clock}; import beltrami; print(({clock} - b) / (b - a))"
-    assert min(float(run(code).stdout) for _ in range(3)) < 1.4
+    assert min(float(run(code).stdout) for _ in range(3)) < 1.0
 
 
 def test_heavy_packages_stay_out():
-    code = "import beltrami, sys; print([m for m in ('trimesh', 'matplotlib', 'pyvista', 'nibabel', 'networkx') if m in sys.modules])"
+    heavy = "trimesh matplotlib pyvista nibabel networkx scipy.linalg scipy.optimize scipy.spatial scipy.special scipy.sparse.csgraph"
+    code = "import sys, numpy, scipy.sparse; before = set(sys.modules); import beltrami; "  # scipy's own choice differs by version
+    code += f"print([m for m in {heavy.split()} if m in sys.modules and m not in before])"
     assert run(code).stdout.strip() == "[]"
 
 
