@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from .errors import InputError
 
@@ -144,7 +144,7 @@ def read_only(array: _A) -> _A:
 
 def csr_in(matrix: Any, name: str) -> CsrArrays:
     """A scipy sparse matrix (any format) or a dense square array, as the core takes it: sorted, entries added up, finite."""
-    if not sparse.issparse(matrix):
+    if not scipy.sparse.issparse(matrix):
         matrix = floats(matrix, name, (None, None))
     if matrix.dtype.kind not in "buif":
         raise InputError(f"{name} has dtype {matrix.dtype}; real numbers are needed")
@@ -152,7 +152,7 @@ def csr_in(matrix: Any, name: str) -> CsrArrays:
         raise InputError(f"{name} has shape {matrix.shape}; a matrix has two dimensions")
     if max(matrix.shape) > np.iinfo(np.int32).max:
         raise InputError(f"{name} has shape {matrix.shape}; rows and columns are up to 2^31 - 1")
-    csr = sparse.csr_array(matrix, dtype=np.float64)
+    csr = scipy.sparse.csr_array(matrix, dtype=np.float64)
     if not csr.has_canonical_format:
         csr = csr.copy()
         csr.sum_duplicates()
@@ -161,9 +161,9 @@ def csr_in(matrix: Any, name: str) -> CsrArrays:
     return rows, columns, starts, indices, np.require(csr.data, np.float64, ["C", "A"])
 
 
-def csr_out(parts: tuple[Floats, npt.NDArray[Any], npt.NDArray[Any]], shape: tuple[int, int]) -> sparse.csr_array:
+def csr_out(parts: tuple[Floats, npt.NDArray[Any], npt.NDArray[Any]], shape: tuple[int, int]) -> scipy.sparse.csr_array:
     """The core's matrix as a scipy array, without a copy; its values are read-only, because most are kept and handed out again."""
-    matrix = sparse.csr_array(shape)
+    matrix = scipy.sparse.csr_array(shape)
     matrix.data, matrix.indices, matrix.indptr = read_only(parts[0]), *parts[1:]
     matrix.has_sorted_indices = True
     matrix.has_canonical_format = True

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays
 from .arrays import Floats, Ints
@@ -135,7 +135,7 @@ class CloudOperators(Operators):
         return float(self.certified_points.mean())
 
     @cached_property
-    def stiffness(self) -> sparse.csr_array:
+    def stiffness(self) -> scipy.sparse.csr_array:
         """L, (n, n): positive semidefinite, symmetric to the last bit; rows sum to zero."""
         n = len(self.shape.points)
         return arrays.csr_out(_core.local_stiffness(self.local_mesh), (n, n))
@@ -150,7 +150,7 @@ class CloudOperators(Operators):
         """Mean length of the edges of the local mesh."""
         return _core.local_edge_length(self.local_mesh)
 
-    def weighted_stiffness(self, potential: npt.ArrayLike) -> sparse.csr_array:
+    def weighted_stiffness(self, potential: npt.ArrayLike) -> scipy.sparse.csr_array:
         """Stiffness of ``∫ exp(-potential) |grad u|²``, the weight averaged on each edge by the harmonic mean.
 
         Parameters
@@ -177,7 +177,7 @@ class CloudOperators(Operators):
         return arrays.read_only(volumes)
 
     @cached_property
-    def simplex_gradient(self) -> sparse.csr_array:
+    def simplex_gradient(self) -> scipy.sparse.csr_array:
         """(m D, n): gradient of piecewise-linear functions on each simplex; ``stiffness`` is its square, weighted by ``simplex_areas``."""
         n, space = self.shape.points.shape
         return arrays.csr_out(_core.local_gradient(self.local_mesh), (len(self.votes) * space, n))
@@ -208,21 +208,21 @@ class CloudOperators(Operators):
         return curvature
 
     @cached_property
-    def _least_squares(self) -> tuple[sparse.csr_array, sparse.csr_array]:
+    def _least_squares(self) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
         cloud = self.shape
         n, space = cloud.points.shape
         gradient, laplacian, _, _ = _core.moving_least_squares(cloud.points, cloud.dimension, 2, normals=_usable_normals(cloud)[0])
         return arrays.csr_out(gradient, (n * space, n)), arrays.csr_out(laplacian, (n, n))
 
     @cached_property
-    def gradient(self) -> sparse.csr_array:
+    def gradient(self) -> scipy.sparse.csr_array:
         """G, (n D, n): ``(G @ f).reshape(n, D)`` has the tangent vector of ``f`` at each point, by moving least squares."""
         return self._least_squares[0]
 
     @cached_property
-    def divergence(self) -> sparse.csr_array:
+    def divergence(self) -> scipy.sparse.csr_array:
         """(n, n D): the exact negative adjoint of the gradient in the mass inner product."""
-        adjoint = sparse.csr_array(self.gradient.T)
+        adjoint = scipy.sparse.csr_array(self.gradient.T)
         columns = np.repeat(self.mass, self.shape.points.shape[1])[adjoint.indices]
         rows = np.repeat(-1.0 / self.mass, np.diff(adjoint.indptr))
         return arrays.csr_out((adjoint.data * columns * rows, adjoint.indices, adjoint.indptr), adjoint.shape)

@@ -13,7 +13,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 import scipy
-import scipy.sparse as sparse
 
 from . import arrays, weighted
 from .arrays import Floats
@@ -106,8 +105,8 @@ def _reached(mesh: Elements, a: Mask, b: Mask) -> None:
     count = len(mesh.points)
     used = np.zeros(count, bool)
     used[mesh.simplices] = True
-    graph = sparse.coo_array((np.ones(len(mesh.first)), (mesh.first, mesh.second)), shape=(count, count))
-    pieces, label = sparse.csgraph.connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(mesh.first)), (mesh.first, mesh.second)), shape=(count, count))
+    pieces, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     has_a, has_b = (np.bincount(label[s], minlength=pieces) > 0 for s in (a, b))
     lost = np.flatnonzero(~(has_a | has_b)[label])
     if len(lost):
@@ -188,7 +187,7 @@ def _solve(mesh: Elements, sets: tuple[Mask, Mask], report: Any) -> tuple[Floats
         if not (diagonal > 0).all():
             raise NumericalError("a point has no conduction")
         scale = 1 / np.sqrt(diagonal)
-        inner = sparse.csr_array(inner.multiply(scale[:, None]).multiply(scale[None]))
+        inner = scipy.sparse.csr_array(inner.multiply(scale[:, None]).multiply(scale[None]))
         factor = Cholesky(inner, mesh.points[free], progress=report)
         right = -(rows @ np.stack([a, b], 1).astype(float)) * scale[:, None]
         # of A and of B at once: their sum is 1 but for rounding, which division takes off, and which says what is left of q
@@ -217,7 +216,7 @@ def _weak(
     for inside, level in zip(members, given, strict=True):
         if level is None:
             if edges is None:
-                upper = sparse.coo_array(sparse.triu(ops.stiffness, 1))
+                upper = scipy.sparse.coo_array(scipy.sparse.triu(ops.stiffness, 1))
                 edges = upper.row, upper.col
             level = weighted.level_of_set(ops.coordinates, inside, edges, _dimension(ops))
         found.append(level)
@@ -267,22 +266,23 @@ def _strong(ops: Operators, u: Floats, a: Mask, b: Mask, circulation: Floats | N
     if circulation is not None:
         drift = drift + beta * circulation
     rows = np.repeat(np.arange(count), space)
-    along = sparse.csr_array(sparse.coo_array((drift.ravel(), (rows, np.arange(count * space))), shape=(count, count * space)))
-    matrix = sparse.csr_array(ops.laplacian + along @ gradient)
+    along = scipy.sparse.csr_array(scipy.sparse.coo_array((drift.ravel(), (rows, np.arange(count * space))), shape=(count, count * space)))
+    matrix = scipy.sparse.csr_array(ops.laplacian + along @ gradient)
     if ops.boundary.any():  # nothing leaves: the derivative outwards is 0
         near = nearest_neighbors(ops.coordinates, ops.coordinates, min(16, count))[0]
         outward = ops.coordinates - ops.coordinates[near].mean(1)
         outward = np.einsum("nd,ndD->nD", np.einsum("ndD,nD->nd", ops.frames, outward), ops.frames)
         outward /= np.maximum(np.linalg.norm(outward, axis=1), 1e-300)[:, None]
-        across = sparse.csr_array(sparse.coo_array((outward.ravel(), (rows, np.arange(count * space))), shape=(count, count * space)))
-        rim = sparse.diags_array(ops.boundary.astype(float))
-        matrix = sparse.csr_array((sparse.eye_array(count) - rim) @ matrix + rim @ (across @ gradient))
+        columns = np.arange(count * space)
+        across = scipy.sparse.csr_array((outward.ravel(), (rows, columns)), shape=(count, count * space))
+        rim = scipy.sparse.diags_array(ops.boundary.astype(float))
+        matrix = scipy.sparse.csr_array((scipy.sparse.eye_array(count) - rim) @ matrix + rim @ (across @ gradient))
     free = np.flatnonzero(~(a | b))
     q = b.astype(float)
     scale = 1 / np.maximum(abs(matrix).sum(1), 1e-300)[free]
-    inner = sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
+    inner = scipy.sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
     try:
-        q[free] = sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
+        q[free] = scipy.sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
     except RuntimeError as error:
         raise NumericalError(f"the strong form has no solution on these points ({error}); take the weak form, or more points") from None
     if not np.isfinite(q).all():
@@ -305,12 +305,12 @@ def _rotating(system: _System, circulation: Floats, backwards: bool) -> Floats:
     n, (i, j) = len(mesh.points), (mesh.first, mesh.second)
     rows, columns = np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j])
     values = np.concatenate([-k * ahead, -k * behind, k * ahead, k * behind])
-    matrix = sparse.csr_array(sparse.coo_array((values, (rows, columns)), shape=(n, n)))
+    matrix = scipy.sparse.csr_array(scipy.sparse.coo_array((values, (rows, columns)), shape=(n, n)))
     free = np.flatnonzero(~(a | b))
     q = (a if backwards else b).astype(float)
     scale = 1 / matrix.diagonal()[free]
-    inner = sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
-    q[free] = sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
+    inner = scipy.sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
+    q[free] = scipy.sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
     if not np.isfinite(q).all():
         raise NumericalError("the committor of this circulation is not finite; its drift is too strong for the spacing of the points")
     found: Floats = np.clip(q, 0, 1)
@@ -714,9 +714,9 @@ class CommittorResult:
         cost = length / np.maximum(system.weights, 1e-300)
         cost = cost / cost[system.mesh.edge_conduction > 0].min()
         n = len(mesh.points)
-        graph = sparse.csr_array(sparse.coo_array((cost, (mesh.first, mesh.second)), shape=(n, n)))
+        graph = scipy.sparse.csr_array(scipy.sparse.coo_array((cost, (mesh.first, mesh.second)), shape=(n, n)))
         sources = np.flatnonzero(a)
-        distance, before, _ = sparse.csgraph.dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)
+        distance, before, _ = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)
         ends = np.flatnonzero(b & np.isfinite(distance))
         at = int(ends[np.argmin(distance[ends])])
         chain = []
@@ -822,14 +822,14 @@ def _passage(system: _System, which: int) -> Floats:
     members = system.sets[which]
     free = np.flatnonzero(~members)
     reach = np.zeros(len(members))
-    graph = sparse.coo_array((np.ones(len(mesh.first)), (mesh.first, mesh.second)), shape=(len(members),) * 2)
-    label = sparse.csgraph.connected_components(graph, directed=False)[1]
+    graph = scipy.sparse.coo_array((np.ones(len(mesh.first)), (mesh.first, mesh.second)), shape=(len(members),) * 2)
+    label = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
     joined = np.isin(label[free], label[members])
     reach[free[~joined]] = np.inf
     free = free[joined]
     matrix = weighted.laplacian(len(members), mesh.first, mesh.second, conductance)[free][:, free]
     scale = 1 / np.sqrt(matrix.diagonal())
-    factor = Cholesky(sparse.csr_array(matrix.multiply(scale[:, None]).multiply(scale[None])), mesh.points[free])
+    factor = Cholesky(scipy.sparse.csr_array(matrix.multiply(scale[:, None]).multiply(scale[None])), mesh.points[free])
     reach[free] = factor.solve(system.beta * system.gibbs[free] * scale) * scale
     return reach
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from .arrays import Floats, Ints
 from .clouds import CloudOperators
@@ -30,7 +30,7 @@ class Complex:
     edges: Ints
     spacing: float
     weights: Floats
-    stiffness: sparse.csr_array
+    stiffness: scipy.sparse.csr_array
     mass: Floats
     origin: Indices  # the user's number of each point
     sources: Floats  # points that show where the surface is (the user's, not denoised)
@@ -129,20 +129,20 @@ def _oriented(points: Floats) -> tuple[Floats, float]:
     reflected = same - 2 * a * b
     steep = np.maximum(a * a, b * b)
     cost = 1 - np.abs(reflected) + steep + 3 * (shares[i] + shares[j]) + 1e-6
-    forest = sparse.csgraph.minimum_spanning_tree(sparse.coo_array((cost, (i, j)), shape=(count, count)).tocsr()).tocoo()
+    forest = scipy.sparse.csgraph.minimum_spanning_tree(scipy.sparse.coo_array((cost, (i, j)), shape=(count, count)).tocsr()).tocoo()
     p, q = forest.coords
     along = points[q] - points[p]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     turn = np.einsum("ed,ed->e", normals[p], normals[q])
     turn -= 2 * np.einsum("ed,ed->e", along, normals[p]) * np.einsum("ed,ed->e", along, normals[q])
-    tree = sparse.coo_array((np.ones(2 * len(p)), (np.r_[p, q], np.r_[q, p])), shape=(count, count)).tocsr()
-    pieces, labels = sparse.csgraph.connected_components(tree, directed=False)
+    tree = scipy.sparse.coo_array((np.ones(2 * len(p)), (np.r_[p, q], np.r_[q, p])), shape=(count, count)).tocsr()
+    pieces, labels = scipy.sparse.csgraph.connected_components(tree, directed=False)
     signs = np.ones(count)
     for piece in range(pieces):
         members = np.flatnonzero(labels == piece)
         away = points[members] - points[members].mean(0)
         root = members[np.argmax(np.einsum("nd,nd->n", away, away))]
-        order, before = sparse.csgraph.breadth_first_order(tree, root, directed=False)
+        order, before = scipy.sparse.csgraph.breadth_first_order(tree, root, directed=False)
         mine = labels[p] == piece
         child = np.where(before[p] == q, p, q)[mine]
         kept = np.ones(count)

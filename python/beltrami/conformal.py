@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays, spherical
 from .arrays import Floats, Ints
@@ -577,7 +577,7 @@ def _cayley_step(s: Floats, h: Floats, tau: float) -> Floats:
 def _cayley(
     surface: _Surface,
     metric: Callable[[Floats], Floats] | None,
-    stiffness: sparse.csr_array,
+    stiffness: scipy.sparse.csr_array,
     s: Floats,
     tolerance: float,
     steps: int,
@@ -741,15 +741,13 @@ class _Patch:
             np.add.at(matrix, (i, j), w)
             matrix += 1e-12 * np.diag(np.abs(np.diag(matrix)) + 1e-300)
             try:
-                import scipy.linalg
-
                 factor = scipy.linalg.cho_factor(matrix)
                 return lambda b: np.asarray(scipy.linalg.cho_solve(factor, b), np.float64)
             except np.linalg.LinAlgError:
                 diagonal = np.maximum(np.diag(matrix), 1e-300)
                 return lambda b: b / diagonal[:, None]
-        whole = sparse.csr_array((w, (i, j)), (len(self.free),) * 2)
-        whole = sparse.csr_array(0.5 * (whole + whole.T))
+        whole = scipy.sparse.csr_array((w, (i, j)), (len(self.free),) * 2)
+        whole = scipy.sparse.csr_array(0.5 * (whole + whole.T))
         diagonal = np.maximum(whole.diagonal(), 1e-300)
         try:
             return Cholesky(plus_diagonal(whole, 1e-12 * diagonal)).solve
@@ -762,8 +760,8 @@ class _Patch:
         index[self.free] = np.arange(len(self.free))
         a, b = self.faces.ravel(), self.faces[:, [1, 2, 0]].ravel()
         a, b = np.concatenate([a, b]), np.concatenate([b, a])
-        graph = sparse.csr_array((np.ones(len(a)), (a, b)), (len(self.vertices),) * 2)[self.free]
-        inner = sparse.csr_array(sparse.diags_array(graph.sum(axis=1)) - graph[:, self.free])
+        graph = scipy.sparse.csr_array((np.ones(len(a)), (a, b)), (len(self.vertices),) * 2)[self.free]
+        inner = scipy.sparse.csr_array(scipy.sparse.diags_array(graph.sum(axis=1)) - graph[:, self.free])
         outer = self.z.copy()
         outer[self.free] = 0.0
         self.z[self.free] = Cholesky(inner).solve(graph @ outer)
@@ -851,7 +849,7 @@ def _repair(surface: _Surface, s: Floats, rounds: int, report: Callable[[float],
     """Frees the surroundings of flipped triangles, patch by patch, and untangles each; kept only where flips become fewer."""
     faces, n = surface.faces, surface.count
     a, b = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    neighbours = sparse.csr_array((np.ones(len(a), np.int8), (a, b)), (n, n))
+    neighbours = scipy.sparse.csr_array((np.ones(len(a), np.int8), (a, b)), (n, n))
     for attempt in range(rounds):
         wrong = surface.flipped(s)
         if not wrong.any():
@@ -877,7 +875,7 @@ def _repair(surface: _Surface, s: Floats, rounds: int, report: Callable[[float],
     return s
 
 
-def _patches(neighbours: sparse.csr_array, s: Floats, seeds: npt.NDArray[np.bool_], attempt: int) -> list[Faces]:
+def _patches(neighbours: scipy.sparse.csr_array, s: Floats, seeds: npt.NDArray[np.bool_], attempt: int) -> list[Faces]:
     """Sets of vertices to free: rings around the flips at first, round caps later."""
     from scipy.sparse.csgraph import connected_components
 
@@ -960,7 +958,7 @@ def _scaled(vertices: Floats) -> tuple[Floats, float]:
     return moved / size, size
 
 
-def _solver(stiffness: sparse.csr_array, coordinates: Floats, progress: Progress) -> Callable[[Floats], Floats]:
+def _solver(stiffness: scipy.sparse.csr_array, coordinates: Floats, progress: Progress) -> Callable[[Floats], Floats]:
     """Solves with the stiffness, one vertex pinned by a spring; exact for right-hand sides that add up to zero."""
     spring = np.zeros(stiffness.shape[0])
     spring[0] = stiffness.diagonal()[0]
@@ -1050,7 +1048,7 @@ class _Task:
     steps: int
     report: Callable[[float], None]
 
-    def iterate(self, surface: _Surface, stiffness: sparse.csr_array, *, energy_only: bool = False) -> tuple[Floats, _Trace]:
+    def iterate(self, surface: _Surface, stiffness: scipy.sparse.csr_array, *, energy_only: bool = False) -> tuple[Floats, _Trace]:
         """Factors, makes the start, iterates."""
 
         def gradient(s: Floats) -> tuple[Floats, Floats, float]:

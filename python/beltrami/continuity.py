@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sparse
+import scipy
 
 from . import _core
 from .arrays import Floats
@@ -63,9 +63,9 @@ class Surface:
         return PoissonSolver(self.operators)
 
     @cached_property
-    def average(self) -> sparse.csr_array:
+    def average(self) -> scipy.sparse.csr_array:
         """Mean over a vertex and its neighbours."""
-        pattern = sparse.csr_array(abs(self.operators.stiffness) + sparse.diags_array(np.ones(self.count)))
+        pattern = scipy.sparse.csr_array(abs(self.operators.stiffness) + scipy.sparse.diags_array(np.ones(self.count)))
         pattern.data[:] = np.repeat(1 / np.diff(pattern.indptr), np.diff(pattern.indptr))
         return pattern
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays
 from .arrays import Floats
@@ -143,7 +143,7 @@ def eigenpairs(
         shift = arrays.number(shift, "shift")
     belongs: Shape | None = None
     coordinates: Floats | None = None
-    if sparse.issparse(shape) or isinstance(shape, np.ndarray):
+    if scipy.sparse.issparse(shape) or isinstance(shape, np.ndarray):
         matrix = arrays.csr_in(shape, "the matrix")
         n = matrix[0]
     else:
@@ -157,7 +157,7 @@ def eigenpairs(
     if k > n:
         raise InputError(f"k is {k}, the shape has {n} vertices; ask for at most {n} eigenpairs")
     report = reporter(progress, "eigenpairs")
-    if sparse.issparse(mass):
+    if scipy.sparse.issparse(mass):
         found = _core.eigenpairs(matrix, None, arrays.csr_in(mass, "the mass matrix"), k, shift, coordinates, first, report)
     else:
         diagonal = np.ones(n) if mass is None else arrays.floats(mass, "mass", (n,))

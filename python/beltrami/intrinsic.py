@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays
 from .arrays import Floats, Ints
@@ -70,12 +70,12 @@ class IntrinsicOperators(Operators):
         return len(self.mass), found.faces, found.twins, found.lengths, found.is_cover
 
     @cached_property
-    def gradient(self) -> sparse.csr_array:
+    def gradient(self) -> scipy.sparse.csr_array:
         """G, (2 m, n): ``(G @ f).reshape(m, 2)`` has the gradient of ``f`` in the frame of each triangle."""
         return arrays.csr_out(_core.intrinsic_gradient(self._arrays), (2 * len(self.triangulation.faces), len(self.mass)))
 
     @cached_property
-    def divergence(self) -> sparse.csr_array:
+    def divergence(self) -> scipy.sparse.csr_array:
         """(n, 2 m): ``-diag(mass)^-1 G^T diag(area)``; empty rows where the mass is 0."""
         return arrays.csr_out(_core.intrinsic_divergence(self._arrays, self.mass), (len(self.mass), 2 * len(self.triangulation.faces)))
 

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from .arrays import Floats
 from .conformal import SphericalMapResult
@@ -60,22 +60,22 @@ class Surface:
         object.__setattr__(self, "points", (places - places.mean(0)) / unit)
 
     @property
-    def stiffness(self) -> sparse.csr_array:
+    def stiffness(self) -> scipy.sparse.csr_array:
         return self.operators.stiffness
 
     @cached_property
-    def graph(self) -> sparse.csr_array:
+    def graph(self) -> scipy.sparse.csr_array:
         """Lengths of the edges."""
         pattern = self.stiffness.tocoo()
         apart = pattern.row != pattern.col
         i, j = pattern.row[apart], pattern.col[apart]
         lengths = np.sqrt(((self.points[i] - self.points[j]) ** 2).sum(1))
         n = len(self.points)
-        return sparse.csr_array((np.maximum(lengths, 1e-300), (i, j)), shape=(n, n))
+        return scipy.sparse.csr_array((np.maximum(lengths, 1e-300), (i, j)), shape=(n, n))
 
     def distances(self, sources: Indices) -> Floats:
         """(sources, n): along the edges."""
-        found: Floats = np.atleast_2d(sparse.csgraph.dijkstra(self.graph, directed=False, indices=np.asarray(sources)))
+        found: Floats = np.atleast_2d(scipy.sparse.csgraph.dijkstra(self.graph, directed=False, indices=np.asarray(sources)))
         return found
 
 

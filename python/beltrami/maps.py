@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import arrays
 from .arrays import Floats
@@ -200,7 +200,7 @@ def transfer(
         if table.ndim != 1:
             raise InputError(f"labels have shape {table.shape}; one a point is needed")
         names, numbers = np.unique(table, return_inverse=True)
-        votes = sparse.csr_array((share, (image, numbers)), shape=(len(places), len(names)))
+        votes = scipy.sparse.csr_array((share, (image, numbers)), shape=(len(places), len(names)))
         result = np.zeros(len(places), table.dtype)
         result[hit] = names[np.asarray(votes[hit].argmax(axis=1)).ravel()]
     else:
@@ -215,7 +215,7 @@ def transfer(
     return result
 
 
-def geodesic_graph(shape: Shape | Operators) -> sparse.csr_array:
+def geodesic_graph(shape: Shape | Operators) -> scipy.sparse.csr_array:
     """Edges with their lengths, and across each edge the straight way between the two opposite corners (its triangles unfolded).
 
     Shortest paths in it are never shorter than geodesics and about 2 % longer. For clouds the edges of the stiffness.
@@ -224,9 +224,9 @@ def geodesic_graph(shape: Shape | Operators) -> sparse.csr_array:
     places = ops.coordinates
     n = len(places)
     if not isinstance(ops.shape, TriangleMesh):
-        pattern = sparse.coo_array(sparse.triu(ops.stiffness, 1))
+        pattern = scipy.sparse.coo_array(scipy.sparse.triu(ops.stiffness, 1))
         lengths = np.linalg.norm(places[pattern.row] - places[pattern.col], axis=1)
-        return sparse.csr_array((np.maximum(lengths, 1e-300), (pattern.row, pattern.col)), shape=(n, n))
+        return scipy.sparse.csr_array((np.maximum(lengths, 1e-300), (pattern.row, pattern.col)), shape=(n, n))
     faces = ops.shape.faces.astype(np.int64)
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
     opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
@@ -253,7 +253,7 @@ def geodesic_graph(shape: Shape | Operators) -> sparse.csr_array:
     low, high, weights = low[order], high[order], weights[order]
     first = np.ones(len(low), bool)
     first[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
-    return sparse.csr_array((np.maximum(weights[first], 1e-300), (low[first], high[first])), shape=(n, n))
+    return scipy.sparse.csr_array((np.maximum(weights[first], 1e-300), (low[first], high[first])), shape=(n, n))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -366,7 +366,7 @@ def evaluate_map(
     return MapEvaluation(errors, coverage(image, b.mass), rough, chosen)
 
 
-def _distances(graph: sparse.csr_array, sources: Indices, ends: Indices) -> Floats:
+def _distances(graph: scipy.sparse.csr_array, sources: Indices, ends: Indices) -> Floats:
     from scipy.sparse.csgraph import dijkstra
 
     distances: Floats = dijkstra(graph, directed=False, indices=sources)[np.arange(len(sources)), ends]

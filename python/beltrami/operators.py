@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays
 from .arrays import Floats, Ints
@@ -44,7 +44,7 @@ class Operators(ABC):
 
     shape: Shape
     kind: str
-    stiffness: sparse.csr_array
+    stiffness: scipy.sparse.csr_array
     mass: Floats
     spacing: float
     notes: tuple[str, ...] = field(default=(), kw_only=True)
@@ -58,7 +58,7 @@ class Operators(ABC):
         return self.shape.points if isinstance(self.shape, PointCloud) else self.shape.vertices
 
     @cached_property
-    def laplacian(self) -> sparse.csr_array:
+    def laplacian(self) -> scipy.sparse.csr_array:
         """Laplace-Beltrami, (n, n): ``-diag(mass)^-1 stiffness``, negative semidefinite. Empty rows where the mass is 0."""
         inverse = np.divide(-1.0, self.mass, out=np.zeros_like(self.mass), where=self.mass > 0)
         rows = np.repeat(inverse, np.diff(self.stiffness.indptr))
@@ -66,12 +66,12 @@ class Operators(ABC):
 
     @property
     @abstractmethod
-    def gradient(self) -> sparse.csr_array:
+    def gradient(self) -> scipy.sparse.csr_array:
         """G, (m D, n): ``(G @ f).reshape(m, D)`` has the tangent vector of ``f`` on each triangle."""
 
     @property
     @abstractmethod
-    def divergence(self) -> sparse.csr_array:
+    def divergence(self) -> scipy.sparse.csr_array:
         """(n, m D): the exact negative adjoint of the gradient in the area and mass inner products."""
 
     @property
@@ -80,7 +80,7 @@ class Operators(ABC):
         """(m,): areas of the triangles that the gradient lives on."""
 
     @property
-    def simplex_gradient(self) -> sparse.csr_array:
+    def simplex_gradient(self) -> scipy.sparse.csr_array:
         """Gradient of piecewise-linear functions on the simplices: ``stiffness`` is its square, weighted by ``simplex_areas``.
 
         For meshes this is ``gradient``. For clouds, where ``gradient`` lives at the points, it has D rows a simplex of the local mesh.
@@ -120,13 +120,13 @@ class MeshOperators(Operators):
     shape: TriangleMesh
 
     @cached_property
-    def gradient(self) -> sparse.csr_array:
+    def gradient(self) -> scipy.sparse.csr_array:
         """G, (m D, n): ``(G @ f).reshape(m, D)`` has the tangent vector of ``f`` on each triangle."""
         count = len(self.shape.faces) * self.shape.dimension
         return arrays.csr_out(_core.gradient((self.shape.vertices, self.shape.faces)), (count, len(self.mass)))
 
     @cached_property
-    def divergence(self) -> sparse.csr_array:
+    def divergence(self) -> scipy.sparse.csr_array:
         """(n, m D): ``-diag(mass)^-1 G^T diag(area)``; empty rows where the mass is 0."""
         count = len(self.shape.faces) * self.shape.dimension
         return arrays.csr_out(_core.divergence((self.shape.vertices, self.shape.faces), self.mass), (len(self.mass), count))
@@ -137,7 +137,7 @@ class MeshOperators(Operators):
         return self.shape.face_areas
 
     @cached_property
-    def galerkin_mass(self) -> sparse.csr_array:
+    def galerkin_mass(self) -> scipy.sparse.csr_array:
         """The consistent mass matrix, (n, n)."""
         n = len(self.mass)
         return arrays.csr_out(_core.galerkin_mass((self.shape.vertices, self.shape.faces)), (n, n))

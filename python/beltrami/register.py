@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays
 from .arrays import Floats, Ints
@@ -49,7 +49,7 @@ class Side:
     unit: float  # of length
     centre: Floats
     mass: Floats  # 0 where a point hangs loose of the largest part
-    stiffness: sparse.csr_array  # of the points that are no copies of others
+    stiffness: scipy.sparse.csr_array  # of the points that are no copies of others
     values: Floats
     functions: Floats
     positions: Floats
@@ -169,11 +169,11 @@ def _curvature(side: Side) -> Floats:
     assert side.normals is not None
     mass = np.maximum(side.mass, 1e-12 / len(side.mass))
     curvature = np.clip(((side.stiffness @ side.positions) * side.normals).sum(1) / mass / 2, -50, 50)
-    diagonal = sparse.diags_array(mass)
+    diagonal = scipy.sparse.diags_array(mass)
     columns: list[Floats] = []
     factor: Cholesky | None = None
     for time in _CURVATURE_TIMES:
-        matrix = sparse.csr_array(diagonal + time * side.stiffness)
+        matrix = scipy.sparse.csr_array(diagonal + time * side.stiffness)
         factor = Cholesky(matrix, coordinates=side.positions) if factor is None else factor.refactor(matrix)
         columns.append(factor.solve(mass * curvature))
     return _standard(np.stack(columns, 1), side.mass)
@@ -299,18 +299,19 @@ class _Rigid:
     """As-rigid-as-possible deformation of the source (Sorkine and Alexa 2007), rotations smoothed over a ring."""
 
     def __init__(self, side: Side) -> None:
-        coo = sparse.coo_array(side.stiffness)
+        coo = scipy.sparse.coo_array(side.stiffness)
         apart = coo.row != coo.col
         n = len(side.mass)
-        weights = sparse.csr_array((np.maximum(-coo.data[apart], 0.0), (coo.row[apart], coo.col[apart])), shape=(n, n))
+        weights = scipy.sparse.csr_array((np.maximum(-coo.data[apart], 0.0), (coo.row[apart], coo.col[apart])), shape=(n, n))
         self.side = side
         self.core = _core.Rigid(arrays.csr_in(weights, "weights"), side.positions)
-        self.laplacian = sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(1)).ravel() + 1e-9 * weights.sum() / n) - weights)
+        degrees = np.asarray(weights.sum(1)).ravel() + 1e-9 * weights.sum() / n
+        self.laplacian = scipy.sparse.csr_array(scipy.sparse.diags_array(degrees) - weights)
         self.factor: Cholesky | None = None
 
     def pulled(self, strength: Floats) -> Cholesky:
         """The factor of the deformation's matrix with every point pulled by a spring."""
-        matrix = sparse.csr_array(self.laplacian + sparse.diags_array(strength))
+        matrix = scipy.sparse.csr_array(self.laplacian + scipy.sparse.diags_array(strength))
         if self.factor is None:
             self.factor = Cholesky(matrix, coordinates=self.side.positions)
         else:

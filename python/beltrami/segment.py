@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays
 from .arrays import Floats, Ints
@@ -59,7 +59,7 @@ class _Surface:
         if tv == "isotropic":
             hats, self.frames = _hats(sides)
             self.elements = _core.Elements(self.count, corners, hats, np.ascontiguousarray(self.areas))
-            self.stiffness = sparse.csr_array(ops.stiffness * (self.length**2 / total))
+            self.stiffness = scipy.sparse.csr_array(ops.stiffness * (self.length**2 / total))
             self.spacing = (1 / np.count_nonzero(ops.mass)) ** (1 / dimension)
         else:
             if dimension != 2:
@@ -69,8 +69,8 @@ class _Surface:
             self.elements = _core.Elements(self.count, self.edges, 1 / lengths[:, None], weights)
             a, b = self.edges.T
             w = weights / lengths**2
-            graph = sparse.coo_array((np.r_[-w, -w, w, w], (np.r_[a, b, a, b], np.r_[b, a, a, b])), shape=(self.count, self.count))
-            self.stiffness = sparse.csr_array(graph)
+            graph = scipy.sparse.coo_array((np.r_[-w, -w, w, w], (np.r_[a, b, a, b], np.r_[b, a, a, b])), shape=(self.count, self.count))
+            self.stiffness = scipy.sparse.csr_array(graph)
             self.spacing = float(lengths.mean())
 
     def fields(self, dual: Floats, channels: int) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import _core, arrays
 from .arrays import Floats, Ints
@@ -226,13 +226,13 @@ class SkeletonResult:
         if self.cycles:
             raise TopologyError(f"{path}: SWC holds trees and this skeleton has {self.cycles} cycles; write .obj or .npz")
         size = len(self.nodes)
-        tree = sparse.coo_array((np.ones(len(self.edges)), (self.edges[:, 0], self.edges[:, 1])), shape=(size, size)).tocsr()
+        tree = scipy.sparse.coo_array((np.ones(len(self.edges)), (self.edges[:, 0], self.edges[:, 1])), shape=(size, size)).tocsr()
         lines, number = ["# id type x y z radius parent"], {-9999: -1}
         kinds = {1: 6, 2: 0}  # 6: end point, 5: fork point, 0: undefined
         for piece in np.unique(self.components):
             members = np.flatnonzero(self.components == piece)
             root = members[np.argmax(self.radii[members])]
-            order, parents = sparse.csgraph.breadth_first_order(tree, root, directed=False)
+            order, parents = scipy.sparse.csgraph.breadth_first_order(tree, root, directed=False)
             for node in order.tolist():
                 number[node] = len(number)
                 x, y, z = self.nodes[node].tolist()
@@ -467,8 +467,8 @@ def _pieces(complex_: Complex, components: bool, notes: list[str]) -> Indices:
     """Number of the piece of each point; -1 in no piece, or in one too small to be more than a stray of a cloud."""
     n = len(complex_.points)
     a, b = complex_.edges.T
-    graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-    number, labels = sparse.csgraph.connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
+    number, labels = scipy.sparse.csgraph.connected_components(graph, directed=False)
     sizes = np.bincount(labels, minlength=number)
     least = 4 if complex_.is_mesh else max(10, int(0.01 * n))
     kept = np.flatnonzero(sizes >= least)
@@ -490,7 +490,7 @@ def _restricted(complex_: Complex, members: Indices) -> Complex:
     new[members] = np.arange(len(members), dtype=np.int32)
     cells = new[complex_.cells]
     edges = new[complex_.edges]
-    matrix = sparse.csr_array(complex_.stiffness[members][:, members])
+    matrix = scipy.sparse.csr_array(complex_.stiffness[members][:, members])
     return Complex(
         np.ascontiguousarray(complex_.points[members]),
         np.ascontiguousarray(cells[(cells >= 0).all(1)]),

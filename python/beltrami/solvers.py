@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from . import _core
 from .arrays import Floats, anything, csr_in, csr_out, floats, number, points
@@ -147,7 +147,7 @@ class Cholesky:
         return self._core.log_determinant()
 
     @property
-    def matrix(self) -> sparse.csr_array:
+    def matrix(self) -> scipy.sparse.csr_array:
         """The matrix that was factored last."""
         return csr_out(self._core.matrix(), self.shape)
 
@@ -172,9 +172,9 @@ class Cholesky:
 _COMPATIBLE = 1e-9  # share of its size that the sum of a strict right-hand side may have
 
 
-def plus_diagonal(matrix: sparse.csr_array, diagonal: Floats) -> sparse.csr_array:
+def plus_diagonal(matrix: scipy.sparse.csr_array, diagonal: Floats) -> scipy.sparse.csr_array:
     """``matrix + diag(diagonal)``."""
-    return sparse.csr_array(matrix + sparse.diags_array(diagonal))
+    return scipy.sparse.csr_array(matrix + scipy.sparse.diags_array(diagonal))
 
 
 PoissonMethod = Literal["auto", "direct", "multilevel"]

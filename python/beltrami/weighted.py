@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sparse
+import scipy
 
 from .arrays import Floats
 from .clouds import CloudOperators
@@ -426,9 +426,9 @@ def cut(mesh: Elements, sets: tuple[Mask, Mask]) -> Floats:
     return np.maximum(share, SHORTEST)
 
 
-def laplacian(count: int, first: Longs, second: Longs, weights: Floats) -> sparse.csr_array:
+def laplacian(count: int, first: Longs, second: Longs, weights: Floats) -> scipy.sparse.csr_array:
     """Σ weights (u_first - u_second)² as a matrix."""
     rows = np.concatenate([first, second, first, second])
     columns = np.concatenate([second, first, first, second])
     values = np.concatenate([-weights, -weights, weights, weights])
-    return sparse.csr_array(sparse.coo_array((values, (rows, columns)), shape=(count, count)))
+    return scipy.sparse.csr_array(scipy.sparse.coo_array((values, (rows, columns)), shape=(count, count)))
