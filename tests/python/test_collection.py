@@ -2,6 +2,11 @@
 
 import concurrent.futures
 import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
 
 import beltrami as bt
 import numpy as np
@@ -144,11 +149,64 @@ def test_options_that_do_not_fit_are_refused(shapes, matrix):
 
 
 @pytest.mark.slow
-def test_dask_and_mpi_give_the_same_bits(shapes, matrix):
+def test_dask_gives_the_same_bits(shapes, matrix):
     distributed = pytest.importorskip("distributed")
-    want = np.asarray(matrix)[2:5, 2:5]
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
-        assert (np.asarray(bt.distance_matrix(shapes[2:5], executor=client)) == want).all()
+        assert (np.asarray(bt.distance_matrix(shapes[2:5], executor=client)) == np.asarray(matrix)[2:5, 2:5]).all()
+
+
+OVER_MPI = """
+import sys
+import numpy as np
+import beltrami as bt
+from mpi4py.futures import MPIPoolExecutor
+
+if __name__ == "__main__":
+    with MPIPoolExecutor() as pool:
+        found = bt.distance_matrix(sys.argv[2:], executor=pool, checkpoint=sys.argv[1] + "/run")
+    np.save(sys.argv[1] + "/found.npy", found.matrix)
+    assert not found.failures, found.failures
+"""
+
+
+@pytest.mark.slow
+def test_mpi_gives_the_same_bits(shapes, tmp_path):
+    pytest.importorskip("mpi4py")
+    if shutil.which("mpiexec") is None:
+        pytest.skip("mpiexec is missing")
+    paths = [tmp_path / f"{index}.ply" for index in range(3)]
+    for shape, path in zip(shapes[2:5], paths, strict=True):
+        bt.save(shape, path)
+    script = tmp_path / "over_mpi.py"
+    script.write_text(OVER_MPI)
+    more = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}  # containers; more ranks than cores, in Open MPI 4 and 5
+    more |= {"OMPI_MCA_rmaps_base_oversubscribe": "1", "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe"}
+    command = ["mpiexec", "-n", "3", sys.executable, "-m", "mpi4py.futures", str(script), str(tmp_path), *map(str, paths)]
+    done = subprocess.run(command, env={**os.environ, **more}, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (np.load(tmp_path / "found.npy") == np.asarray(bt.distance_matrix(paths))).all()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="kills a process")
+def test_a_killed_run_goes_on(shapes, matrix, tmp_path):
+    paths = [tmp_path / f"{index}.npz" for index in range(len(shapes))]
+    for shape, path in zip(shapes, paths, strict=True):
+        np.savez(path, V=shape.vertices, F=shape.faces)
+    code = (
+        "import sys, numpy as np, beltrami as bt; files = [np.load(p) for p in sys.argv[2:]]; "
+        "bt.distance_matrix([bt.TriangleMesh(f['V'], f['F']) for f in files], checkpoint=sys.argv[1])"
+    )
+    run = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "run"), *map(str, paths)])
+    while run.poll() is None and len(list((tmp_path / "run").glob("tiles/*.npz"))) < 3:
+        time.sleep(0.01)
+    run.kill()
+    assert run.wait() == -signal.SIGKILL  # it did not end by itself
+    rest = Counting()
+    found = bt.distance_matrix(shapes, executor=rest, checkpoint=tmp_path / "run")
+    assert (np.asarray(found) == np.asarray(matrix)).all()
+    pairs = len(shapes) * (len(shapes) - 1) // 2
+    assert rest.tasks <= pairs - 3  # no eigenmap, and not the tiles that were done
