@@ -4,6 +4,9 @@ that names the element. What is handed in is never changed, and never kept unles
 from __future__ import annotations
 
 import operator
+import os
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -106,6 +109,21 @@ def number(value: Any, name: str, above: float | None = None, least: float | Non
         bound = "finite" if above is None and least is None else f"above {above:g}" if above is not None else f"at least {least:g}"
         raise InputError(f"{name} is {result:g}; it must be {bound}")
     return result
+
+
+def word(value: Any, name: str, choices: Sequence[str]) -> str:
+    """One of some words."""
+    if not isinstance(value, str) or value not in choices:
+        *others, last = map(repr, choices)
+        raise InputError(f"{name} is {value!r}; choose {', '.join(others)} or {last}")
+    return value
+
+
+def file(value: Any, name: str) -> Path:
+    """A path."""
+    if not isinstance(value, str | os.PathLike):
+        raise InputError(f"{name} is {value!r}; a str or PathLike is needed")
+    return Path(value)
 
 
 def indices(value: Any, name: str, count: int, *, empty: bool = False) -> npt.NDArray[np.int64]:

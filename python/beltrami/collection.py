@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -24,7 +24,7 @@ from .errors import Cancelled, DependencyError, InputError
 from .files import load
 from .progress import Progress, reporter
 from .register import Eigenmap, align_eigenmaps, eigenmap, prepare, settle
-from .shapes import PointCloud, Shape, TriangleMesh
+from .shapes import PointCloud, Shape, TriangleMesh, no_shape
 from .threads import set_num_threads
 
 __all__ = ["DistanceMatrix", "distance_matrix"]
@@ -417,15 +417,19 @@ def distance_matrix(
     >>> bool(found[0, 1] < found[0, 2]), np.asarray(found).shape
     (True, (3, 3))
     """
+    if isinstance(shapes, str | os.PathLike) or not isinstance(shapes, Iterable):
+        raise InputError(f"shapes is {shapes!r}; a list of shapes or paths is needed")
     members = list(shapes)
     count = len(members)
     for index, member in enumerate(members):
         if not isinstance(member, TriangleMesh | PointCloud | str | os.PathLike):
-            raise InputError(f"shapes[{index}] is a {type(member).__name__}; a TriangleMesh, a PointCloud or a path is needed")
+            raise no_shape(member, f"shapes[{index}]", "a TriangleMesh, a PointCloud or a path")
     if not callable(method) and method not in ("rswd", "shape_dna"):
         raise InputError(f"method is {method!r}; choose 'rswd' or 'shape_dna', or give a function of two shapes")
     if executor is not None and not hasattr(executor, "submit"):
         raise InputError(f"executor is a {type(executor).__name__}; an object with submit(fn, *args) is needed")
+    if labels is not None and (isinstance(labels, str) or not isinstance(labels, Iterable)):
+        raise InputError(f"labels is {labels!r}; a list of names is needed, one a shape")
     names = tuple(str(label) for label in labels) if labels is not None else tuple(_name(m, i) for i, m in enumerate(members))
     if len(names) != count:
         raise InputError(f"{len(names)} labels for {count} shapes")
@@ -435,8 +439,8 @@ def distance_matrix(
     parent = os.getpid()
     known = method if isinstance(method, str) else f"{method.__module__}.{getattr(method, '__qualname__', type(method).__name__)}"
     modes = 50 if method == "shape_dna" else _LEVELS[-1]
-    folder = None if checkpoint is None else Path(checkpoint)
-    shelf = Path(cache) if cache is not None else None if folder is None else folder / "eigenmaps"
+    folder = None if checkpoint is None else arrays.file(checkpoint, "checkpoint")
+    shelf = arrays.file(cache, "cache") if cache is not None else None if folder is None else folder / "eigenmaps"
     prints = [_fingerprint(member) for member in members] if folder is not None or shelf is not None else [""] * count
     tiles = list(_tiles(count))
     described = 0 if callable(method) else count

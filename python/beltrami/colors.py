@@ -63,10 +63,20 @@ def color(value: Any) -> tuple[float, float, float]:
     """A colour as three numbers from 0 to 1: from '#rrggbb', or from three numbers."""
     if isinstance(value, str):
         return _hex(value)
-    array = np.asarray(value, float)
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
     if array.shape[-1:] not in ((3,), (4,)) or array.ndim != 1 or not ((array >= 0) & (array <= 1)).all():
         raise InputError(f"{value!r} is no colour; write it like '#3b528b', or give three numbers from 0 to 1")
     return float(array[0]), float(array[1]), float(array[2])
+
+
+def listed(colormap: Any) -> Sequence[Any] | npt.NDArray[Any]:
+    """A colour map that was given as a list of colours."""
+    if not isinstance(colormap, Sequence | np.ndarray) or len(colormap) == 0:
+        raise InputError(f"colormap is {colormap!r}; give the name of one, or a list of colours")
+    return colormap
 
 
 def _spread(colours: Sequence[Any] | Colours, count: int) -> Colours:
@@ -85,7 +95,7 @@ def table(name: str | Sequence[Any] | npt.NDArray[Any], count: int = 256) -> Col
         end runs backwards; ``categories`` for labels; a matplotlib name where matplotlib is installed; or a list of colours.
     """
     if not isinstance(name, str):
-        return _spread(name, count)
+        return _spread(listed(name), count)
     if name.endswith("_r"):
         return table(name[:-2], count)[::-1]
     if name == "viridis":

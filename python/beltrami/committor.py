@@ -392,6 +392,11 @@ def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float 
     ndarray (n,)
         They sum to 1.
 
+    Raises
+    ------
+    InputError
+        Arrays differ in length or are not finite, an inverse temperature is not positive, or there are more than 1,000 of them.
+
     References
     ----------
     Shirts and Chodera, Statistically optimal analysis of samples from multiple equilibrium states, 2008, equation (11).
@@ -413,6 +418,7 @@ def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float 
     shifted = energy - energy.min()
     bias = -states[:, None] * shifted[None]
     free = np.zeros(len(states))
+    tolerance = arrays.number(tolerance, "tolerance", above=0)
     for _ in range(10_000):
         mixture = scipy.special.logsumexp(np.log(counts)[:, None] + free[:, None] + bias, axis=0)
         new = -scipy.special.logsumexp(bias - mixture, axis=1)

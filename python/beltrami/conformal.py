@@ -24,7 +24,7 @@ from .errors import Cancelled, InputError, NumericalError, TopologyError
 from .moebius import Moebius
 from .operators import Operators, operators
 from .progress import Progress, reporter
-from .shapes import PointCloud, Shape, TriangleMesh
+from .shapes import PointCloud, Shape, TriangleMesh, no_shape
 from .solvers import Cholesky, plus_diagonal
 from .view import Page, Picture, plot
 
@@ -1023,7 +1023,7 @@ def spherical_map(
     >>> r.flipped, r.excess < 0.02
     (0, True)
     """
-    if method not in _STEPS:
+    if not isinstance(method, str) or method not in _STEPS:
         raise InputError(f"method is {method!r}; choose one of {', '.join(map(repr, _STEPS))}")
     tolerance = arrays.number(tolerance, "tolerance", above=0)
     steps = _STEPS[method] if max_iterations is None else arrays.whole(max_iterations, "max_iterations", 1)
@@ -1035,7 +1035,7 @@ def spherical_map(
         if fill_holes:
             raise InputError("fill_holes=True is for meshes; a cloud has no holes to fill")
         return _map_cloud(given, shape if isinstance(shape, Operators) else None, task)
-    raise InputError(f"shape is a {type(shape).__name__}; a TriangleMesh, a PointCloud or Operators is needed (bt.load makes them)")
+    raise no_shape(shape)
 
 
 _STEPS = {"fast": 20, "cayley": 5000, "preconditioned_cayley": 200}

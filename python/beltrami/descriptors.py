@@ -161,6 +161,13 @@ def shape_dna(shape: Shape | Operators | Eigenpairs, *, k: int = 50, normalize: 
     (k,) array
         Ascending; in 1 / length² if not normalized. Shorter where the shape has fewer points with mass.
 
+    Raises
+    ------
+    InputError
+        ``k`` is out of range, or ``shape`` is none.
+    ConvergenceError
+        The eigenpairs did not converge.
+
     References
     ----------
     Reuter, Wolter and Peinecke, Laplace-Beltrami spectra as "Shape-DNA" of surfaces and solids, 2006.

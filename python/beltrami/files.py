@@ -327,7 +327,7 @@ def _known_package(source: Any) -> str | None:
 
 def _from_object(source: Any) -> tuple[Floats, Ints, Fields]:
     takers = {"trimesh": _from_trimesh, "pyvista": _from_pyvista, "open3d": _from_open3d, "meshio": _from_meshio}
-    package = _known_package(source)
+    package = None if isinstance(source, np.ndarray) else _known_package(source)  # trimesh has arrays of its own
     if package is not None:
         return takers[package](source)
     if isinstance(source, tuple | list) and len(source) == 2 and np.ndim(source[0]) == 2:

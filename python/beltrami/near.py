@@ -11,7 +11,7 @@ from . import _core, arrays
 from .arrays import Floats, Ints
 from .errors import InputError
 from .progress import Progress, reporter
-from .shapes import PointCloud, TriangleMesh
+from .shapes import PointCloud, TriangleMesh, no_shape
 
 __all__ = [
     "ClosestPointsResult",
@@ -132,7 +132,7 @@ def neighbors_within(
 
 def _mesh(mesh: TriangleMesh) -> tuple[Floats, Ints]:
     if not isinstance(mesh, TriangleMesh):
-        raise InputError(f"a TriangleMesh is needed, not {type(mesh).__name__}")
+        raise no_shape(mesh, "mesh", "a TriangleMesh")
     return mesh.vertices, mesh.faces
 
 

@@ -16,7 +16,7 @@ import scipy
 from . import _core, arrays
 from .arrays import Floats, Ints
 from .errors import InputError
-from .shapes import PointCloud, Shape, TriangleMesh
+from .shapes import PointCloud, Shape, TriangleMesh, no_shape
 
 Laplacian = Literal["auto", "cotangent", "intrinsic_delaunay", "tufted", "local_mesh", "mls"]
 Mass = Literal["lumped", "voronoi"]
@@ -187,7 +187,7 @@ def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: 
     if isinstance(shape, Operators):
         return shape
     if not isinstance(shape, TriangleMesh | PointCloud):
-        raise InputError(f"shape is a {type(shape).__name__}; a TriangleMesh, a PointCloud or Operators is needed (bt.load makes them)")
+        raise no_shape(shape)
     from .clouds import BUILDERS
 
     family = _MESH if isinstance(shape, TriangleMesh) else BUILDERS

@@ -370,8 +370,8 @@ class _Segmenter:
         self.split: list[Floats] | None = None
 
     def _given(self, means: Any) -> Floats:
-        table = np.asarray(means, float) if np.ndim(means) != 1 else np.asarray(means, float)[:, None]
-        found = arrays.floats(table, "means", (self.regions, self.image.shape[1]))
+        table = arrays.anything(means, "means")
+        found = arrays.floats(table[:, None] if table.ndim == 1 else table, "means", (self.regions, self.image.shape[1]))
         if len(np.unique(found, axis=0)) < self.regions:
             raise InputError("two of the given means are equal; regions cannot be told apart then")
         return found.copy()
@@ -714,7 +714,7 @@ def segment(
     return segment_path(
         shape,
         image,
-        fidelities=[fidelity],
+        fidelities=[arrays.number(fidelity, "fidelity", above=0)],
         regions=regions,
         means=means,
         mask=mask,
@@ -722,7 +722,6 @@ def segment(
         tolerance=tolerance,
         max_iterations=max_iterations,
         progress=progress,
-        _name="fidelity",
     )[0]
 
 
@@ -738,7 +737,6 @@ def segment_path(
     tolerance: float | None = None,
     max_iterations: int = 2000,
     progress: Progress = None,
-    _name: str = "fidelities",
 ) -> list[SegmentationResult]:
     """Segmentations for several fidelities, so that one can be chosen: one factor serves all, each starts from the one before.
 
@@ -747,11 +745,17 @@ def segment_path(
     fidelities : sequence of float
         In the order in which they are wanted; ascending or descending goes fastest.
     shape, image, regions, means, mask, tv, tolerance, max_iterations, progress
-        As for :func:`segment`; errors too.
+        As for :func:`segment`.
 
     Returns
     -------
     list of SegmentationResult
+        One a fidelity, in the order given.
+
+    Raises
+    ------
+    InputError
+        As for :func:`segment`; or ``fidelities`` is empty.
 
     Examples
     --------
@@ -762,11 +766,9 @@ def segment_path(
     >>> [round(r.contour_length, 1) for r in bt.segment_path(grid, image, fidelities=[3, 30])]
     [0.0, 1.7]
     """
-    wanted = np.atleast_1d(np.asarray(fidelities, float)).ravel().tolist()
+    wanted = [arrays.number(value, "fidelities", above=0) for value in np.atleast_1d(arrays.anything(fidelities, "fidelities")).ravel()]
     if not wanted:
         raise InputError("fidelities is empty; give at least one")
-    for value in wanted:
-        arrays.number(value, _name, above=0)
     wished = arrays.number((1e-6 if tv == "edge" else 1e-4) if tolerance is None else tolerance, "tolerance", above=0)
     most = arrays.whole(max_iterations, "max_iterations", 1)
     segmenter = _Segmenter(shape, image, regions, means, mask, tv)

@@ -492,6 +492,22 @@ class PointCloud(_Shown):
 Shape = TriangleMesh | PointCloud
 
 
+def no_shape(given: Any, name: str = "shape", wanted: str = "a TriangleMesh, a PointCloud or Operators") -> InputError:
+    """The error for something else in the place of a shape, with what would make one of it."""
+    kind = type(given)
+    package = kind.__module__.split(".")[0]
+    what = kind.__name__ if package in ("builtins", "beltrami") else f"{package}.{kind.__name__}"
+    if isinstance(given, str | os.PathLike):
+        remedy = f"bt.load({os.fspath(given)!r}) reads a file"
+    elif isinstance(given, np.ndarray) or (isinstance(given, tuple | list) and len(given) != 2):
+        remedy = f"bt.PointCloud({name}) makes a cloud of points"
+    elif package == "beltrami":
+        return InputError(f"{name} is a {what}; {wanted} is needed")
+    else:
+        remedy = f"bt.load({name}) makes one of an object of trimesh, pyvista, open3d or meshio, or of a pair (vertices, faces)"
+    return InputError(f"{name} is a {what}; {wanted} is needed: {remedy}")
+
+
 def _remake(kind: type[Any], positional: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
     return kind(*positional, **keywords)
 

@@ -21,7 +21,7 @@ from .near import nearest_neighbors
 from .operators import Operators, operators
 from .progress import Progress, part, reporter
 from .reeb import ReebGraph, SimplifiedGraph, reeb_graph
-from .shapes import PointCloud, Shape, TriangleMesh
+from .shapes import PointCloud, Shape, TriangleMesh, no_shape
 from .view import Page, Picture
 
 __all__ = ["SkeletonResult", "skeleton"]
@@ -317,7 +317,7 @@ def skeleton(
     notes: list[str] = []
     given = shape.shape if isinstance(shape, Operators) else shape
     if not isinstance(given, TriangleMesh | PointCloud):
-        raise InputError(f"shape is a {type(given).__name__}; a TriangleMesh, a PointCloud or Operators is needed (bt.load makes them)")
+        raise no_shape(given)
     count = len(given.points) if isinstance(given, PointCloud) else len(given.vertices)
     if count < 10:
         raise InputError(f"{count} points are too few for a skeleton; 10 or more are needed")

@@ -11,6 +11,10 @@ def num_threads() -> int:
     """How many threads are used: what :func:`set_num_threads` said last, else the environment variable ``BELTRAMI_NUM_THREADS``,
     else one a processor.
 
+    Returns
+    -------
+    int
+
     Raises
     ------
     InputError

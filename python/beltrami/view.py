@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -251,7 +251,8 @@ def _field(
         categorical = len(kinds) <= 256
     if categorical:
         rgba = np.ones((max(len(kinds), 1), 4), np.float32)
-        chosen = colors.categories(len(kinds)) if colormap in (None, "categories") else np.array([colors.color(c) for c in colormap])
+        own = None if colormap is None or isinstance(colormap, str) else np.array([colors.color(c) for c in colors.listed(colormap)])
+        chosen = colors.categories(len(kinds)) if own is None else own
         if len(chosen) < len(kinds):
             raise InputError(f"colormap has {len(chosen)} colours for {len(kinds)} labels")
         rgba[: len(kinds), :3] = chosen[: len(kinds)]
@@ -357,6 +358,8 @@ def _views(views: View | Sequence[View] | None) -> list[View]:
         return ["three-quarter"]
     if isinstance(views, str):
         return [views]
+    if not isinstance(views, Sequence | np.ndarray):
+        raise InputError(f"views is {views!r}; give one view, or a list of views")
     if len(views) == 0:
         raise InputError("views is empty; name at least one")
     several: list[View] = []
@@ -376,9 +379,7 @@ def _camera(view: View, up: Axis, flat: bool) -> tuple[list[list[float]], str]:
     if flat:
         return np.eye(3).tolist(), ""
     frames = {"y": np.eye(3), "z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "x": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])}
-    if up not in frames:
-        raise InputError(f"up is {up!r}; choose 'x', 'y' or 'z'")
-    frame = frames[up]  # rows: to the right, upwards and towards the eye, seen from the front
+    frame = frames[arrays.word(up, "up", ("x", "y", "z"))]  # rows: to the right, upwards and towards the eye, seen from the front
     if isinstance(view, str):
         if view not in _VIEWS:
             remedy = "give (azimuth, elevation) in radians, or a direction towards the eye"
@@ -471,6 +472,8 @@ def _polylines(lines: Any, geometry: _Geometry) -> list[arrays.Floats]:
         return []
     if isinstance(lines, np.ndarray) and lines.ndim == 2:
         lines = [lines]
+    if not isinstance(lines, Iterable):
+        raise InputError(f"lines are {lines!r}; give one (k, D) array, or a list of them")
     if isinstance(lines, np.ndarray) and lines.ndim != 3:
         raise InputError(f"lines have shape {lines.shape}; give one (k, D) array, or a list of them")
     return [geometry.place(line, f"lines[{at}]") for at, line in enumerate(lines)]
@@ -488,7 +491,8 @@ def _marks(points: Any, geometry: _Geometry) -> arrays.Floats:
 def _each_colour(given: Any, count: int, default: tuple[float, float, float], name: str) -> list[tuple[float, float, float]]:
     if given is None:
         return [default] * count
-    if isinstance(given, str) or (np.asarray(given, dtype=object).ndim == 1 and not isinstance(given[0], str) and np.ndim(given[0]) == 0):
+    several = isinstance(given, Sequence | np.ndarray) and len(given) > 0 and (isinstance(given[0], str) or np.ndim(given[0]) > 0)
+    if isinstance(given, str) or not several:
         return [colors.color(given)] * count
     if len(given) != count:
         raise InputError(f"{name}: {len(given)} colours for {count}; give one, or one each")
@@ -576,7 +580,7 @@ def plot(
     lines : array_like (k, D) or list of them, optional
         Polylines with depth; ``line_color`` one colour or one each, ``line_width`` in pixels.
     points : array_like (k, D) or of vertex numbers, optional
-        Marked places; ``point_size`` in pixels.
+        Marked places; ``point_color`` one colour or one each, ``point_size`` in pixels.
     radius : float, optional
         Radius of the points of a cloud as a length; by default so that neighbours touch.
     transparency : float
@@ -584,6 +588,8 @@ def plot(
     edges, smooth, shading, perspective : bool
         Draw the mesh's edges; interpolate light over triangles; any light at all (without it colours are exactly those of the bar);
         perspective.
+    background : colour
+        '#rrggbb', or three numbers from 0 to 1; words are light on dark ones. Of pictures; a page follows the reader's settings.
     size : (width, height)
         In pixels.
     samples : int
@@ -612,9 +618,14 @@ def plot(
     >>> bt.plot(mesh, np.array([0.0, 1.0, 2.0]), size=(320, 200)).pixels.shape
     (200, 320, 3)
     """
-    if path is not None and Path(path).suffix.lower() not in (".png", ".html", ".htm"):
+    if path is not None and arrays.file(path, "path").suffix.lower() not in (".png", ".html", ".htm"):
         raise InputError(f"{path}: a picture ends in .png, an interactive page in .html")
+    if np.shape(size) != (2,):
+        raise InputError(f"size is {size!r}; give (width, height) in pixels")
     width, height = (arrays.whole(side, "size", 16, 20000) for side in size)
+    for name, text in (("title", title), ("label", label), ("description", description)):
+        if text is not None and not isinstance(text, str):
+            raise InputError(f"{name} is {text!r}; a str is needed")
     transparency = arrays.number(transparency, "transparency", least=0)
     if transparency > 1:
         raise InputError(f"transparency is {transparency:g}; it must be from 0 to 1")
@@ -649,7 +660,7 @@ def plot(
             axes=cameras[0][0],
             up=[float(axis == up) for axis in "xyz"],
             flat=geometry.flat,
-            lit=shading and not geometry.flat,
+            lit=bool(shading) and not geometry.flat,
             note=geometry.note,
             plain=colors.color(color) if color is not None else _PLAIN,
             missing=_MISSING,
@@ -749,7 +760,7 @@ def plot(
             "height": max(y1 - y0, 1),
             "samples": arrays.whole(samples, "samples", 1, 8),
             "background": behind,
-            "lit": shading and not geometry.flat,
+            "lit": bool(shading) and not geometry.flat,
             "hollows": 0.16 * extent,
         }
         surface = None
@@ -770,7 +781,7 @@ def plot(
                 "edge_colour": (0.10, 0.12, 0.18, 0.55),
                 "edge_width": 1.0 if edges else 0.0,
                 "transparency": transparency,
-                "smooth": smooth,
+                "smooth": bool(smooth),
             }
         else:
             rgba = shown.each(geometry.count).copy()

@@ -1,0 +1,135 @@
+"""What a user meets: names, signatures, docstrings, errors and results follow one pattern over the whole library."""
+
+import inspect
+import re
+from typing import Any
+
+import beltrami as bt
+import numpy as np
+import pytest
+
+SPHERE = bt.shapes.sphere(1)
+COUNT = len(SPHERE.vertices)
+HEIGHT = SPHERE.vertices[:, 2]
+DENSITIES = np.exp(HEIGHT) / (bt.operators(SPHERE).mass @ np.exp(HEIGHT)), np.exp(-HEIGHT) / (bt.operators(SPHERE).mass @ np.exp(-HEIGHT))
+TORUS = bt.shapes.torus(rows=16, columns=8)
+PLANE = np.random.default_rng(0).uniform([-1.6, -1], [1.6, 1], (200, 2))
+WELLS = (PLANE[:, 0] ** 2 - 1) ** 2 + PLANE[:, 1] ** 2 / 2
+SAMPLES = bt.PointCloud(PLANE)
+PAIRS = np.arange(COUNT)
+# A call of each function that works, as short as can be.
+CALLS: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
+    "closest_points": ((SPHERE, SPHERE.vertices), {}),
+    "committor": ((SAMPLES, WELLS, PLANE[:, 0] < -0.9, PLANE[:, 0] > 0.9), {"beta": 2.0, "refine": 0}),
+    "conformal_eigenpairs": ((SPHERE, 0 * HEIGHT, 3), {}),
+    "contours": ((SPHERE, HEIGHT), {}),
+    "denoise": ((SPHERE, HEIGHT), {}),
+    "distance_matrix": (([SPHERE, TORUS],), {"method": "shape_dna"}),
+    "eigenpairs": ((SPHERE, 3), {}),
+    "evaluate_map": ((PAIRS, SPHERE, SPHERE), {"truth": PAIRS}),
+    "farthest_points": ((SPHERE, 3), {}),
+    "functional_map_of": ((PAIRS, SPHERE, SPHERE), {"k": 4}),
+    "geodesic_distance": ((SPHERE, 0), {}),
+    "hks": ((SPHERE,), {"k": 10}),
+    "intersect_rays": ((SPHERE, SPHERE.vertices * 2, -SPHERE.vertices), {}),
+    "load": (((SPHERE.vertices, SPHERE.faces),), {}),
+    "match_spectrum": ((SPHERE, np.arange(4.0) * 3), {"max_iterations": 1}),
+    "mean_field_game": ((SPHERE, DENSITIES[0]), {"intervals": 2, "terminal_cost": bt.costs.quadratic(DENSITIES[1]), "max_iterations": 5}),
+    "nearest_neighbors": ((SPHERE, SPHERE, 2), {}),
+    "neighbors_within": ((SPHERE, SPHERE, 0.5), {}),
+    "normals": ((SPHERE.vertices,), {}),
+    "operators": ((SPHERE,), {}),
+    "plot": ((SPHERE, HEIGHT), {"size": (40, 30), "samples": 1}),
+    "point_map_of": ((np.eye(4), SPHERE, SPHERE), {}),
+    "poisson_disc": ((SPHERE, 0.5), {}),
+    "register": ((SPHERE, SPHERE), {"modes": 10, "samples": 40, "candidates": 1, "polish": False, "extrinsic": False}),
+    "register_conformal": ((SPHERE, SPHERE), {"k": 4, "refine": None, "landmarks": [[0, 0], [5, 5], [9, 9]], "sweeps": 1}),
+    "reweight": ((WELLS, np.ones(len(WELLS)), 2.0), {}),
+    "rotation_invariant_sliced_wasserstein": ((SPHERE.vertices, TORUS.vertices), {"max_iterations": 1, "directions": 5}),
+    "sample_density": ((SAMPLES,), {}),
+    "segment": ((SPHERE, HEIGHT), {}),
+    "segment_path": ((SPHERE, HEIGHT), {"fidelities": [10]}),
+    "shape_dna": ((SPHERE,), {"k": 4}),
+    "skeleton": ((TORUS,), {}),
+    "sliced_wasserstein": ((SPHERE.vertices, TORUS.vertices), {"directions": 5}),
+    "solve_poisson": ((SPHERE, HEIGHT), {}),
+    "spherical_map": ((SPHERE,), {}),
+    "transfer": ((PAIRS, HEIGHT), {}),
+    "transport": ((SPHERE, *DENSITIES), {"intervals": 2, "max_iterations": 5}),
+    "wasserstein_barycenter": ((SPHERE, DENSITIES), {"intervals": 2, "max_iterations": 5}),
+    "wks": ((SPHERE,), {"k": 10}),
+}
+NO_CALL = {"num_threads", "save", "set_num_threads"}
+WRONG: list[Any] = ["a", float("nan"), -1, [], {}, object(), [1, "x"], np.array([[np.nan]])]
+
+
+def functions() -> list[str]:
+    return [name for name in bt.__all__ if inspect.isfunction(getattr(bt, name))]
+
+
+def test_every_function_is_called_here() -> None:
+    assert set(functions()) == set(CALLS) | NO_CALL
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_wrong_arguments_are_refused_in_words(name: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever an argument is, it does or it raises an error of beltrami that says something."""
+    monkeypatch.chdir(tmp_path)  # "a" is a path where one is wanted
+    function = getattr(bt, name)
+    arguments, options = CALLS[name]
+    parameters = inspect.signature(function).parameters
+    for at, (parameter, what) in enumerate(parameters.items()):
+        if what.kind is what.VAR_KEYWORD or parameter in ("progress", "executor", "memory"):
+            continue
+        for wrong in WRONG:
+            given, named = list(arguments), dict(options)
+            if at < len(given):
+                given[at] = wrong
+            else:
+                named[parameter] = wrong
+            try:
+                function(*given, **named)
+            except bt.InternalError as error:
+                pytest.fail(f"{name}({parameter}={wrong!r}): {error}")
+            except bt.Error as error:
+                assert len(str(error)) > 10
+            except Exception as error:
+                pytest.fail(f"{name}({parameter}={wrong!r}) raised {type(error).__name__}: {error}")
+
+
+@pytest.mark.parametrize("name", functions())
+def test_signature_and_docstring(name: str) -> None:
+    """Options have names and no letters of their own; each parameter, what is returned and what is raised is said."""
+    function = getattr(bt, name)
+    text = inspect.getdoc(function) or ""
+    sections = re.findall(r"^([A-Z][A-Za-z ]+)\n-{3,}$", text, re.M)
+    for parameter, what in inspect.signature(function).parameters.items():
+        assert not parameter.startswith("_")
+        assert what.default is what.empty or what.kind is not what.POSITIONAL_OR_KEYWORD or name == "plot" or parameter == "density1", parameter
+        assert re.search(rf"\b{parameter}\b", text), f"{name}: {parameter} is not described"
+    if inspect.signature(function).parameters:
+        assert "Parameters" in sections
+        assert "Raises" in sections
+    if function.__annotations__.get("return") != "None":
+        assert "Returns" in sections
+    assert "Examples" in sections
+    assert len(text.split("\n\n")[0]) < 250  # what it does, in a sentence
+
+
+def test_what_is_no_shape_is_named_with_a_remedy(tmp_path: Any) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    ball = trimesh.creation.icosphere(1)
+    for wrong, words in (
+        (ball, r"trimesh.Trimesh.*bt.load\(shape\)"),
+        ("scan.ply", r"str.*bt.load\('scan.ply'\)"),
+        (tmp_path / "scan.ply", r"bt.load\('.*scan.ply'\)"),
+        ((SPHERE.vertices, SPHERE.faces), r"tuple.*bt.load\(shape\)"),
+        (SPHERE.vertices, r"numpy.ndarray.*bt.PointCloud\(shape\)"),
+        (bt.eigenpairs(SPHERE, 2), "is a Eigenpairs"),
+    ):
+        for call in (lambda it: bt.operators(it), lambda it: bt.geodesic_distance(it, 0), bt.spherical_map, bt.skeleton):
+            with pytest.raises(bt.InputError, match=words):
+                call(wrong)
+    with pytest.raises(bt.InputError, match="mesh is a PointCloud; a TriangleMesh is needed"):
+        bt.closest_points(bt.PointCloud(SPHERE.vertices), SPHERE.vertices)  # type: ignore[arg-type]
+    assert isinstance(bt.load(ball.vertices), bt.PointCloud)  # an array of trimesh's own kind
