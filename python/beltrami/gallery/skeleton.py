@@ -57,13 +57,14 @@ def skeletons(sheet: Sheet) -> None:
             views="front" if flat else "three-quarter",
             **r.drawn(),
         )
-    r = made["spot"]
+    r = made["star"]
     sheet.picture(
         r.shape,
         {"limb": r.limb_of_point},
         title="Each point belongs to a limb",
-        caption="Spot by the nearest part of its skeleton along the graph.",
+        caption="The star by the nearest part of its skeleton along the graph.",
         size=(1100, 800),
+        views="front",
     )
 
 
