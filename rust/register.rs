@@ -366,13 +366,16 @@ impl Rigid {
     }
 }
 
-/// The rotation R that maximizes tr(R S) for a covariance `S = Σ r x^T`: Horn's quaternion (1987).
+/// The rotation R that maximizes tr(R S) for a covariance `S = Σ r x^T`: Horn's quaternion (1987), the eigenvector of the largest
+/// eigenvalue of a symmetric 4 x 4 matrix without trace. That eigenvalue by Newton's method from above (Theobald 2005), its vector
+/// from the adjugate; by a full decomposition where eigenvalues nearly coincide.
 fn rotation(s: &[f64]) -> [f64; 9] {
     let largest = s.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
     if !(largest > 0.0) {
         return [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     }
-    let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = std::array::from_fn(|k| s[k] / largest);
+    let s: [f64; 9] = std::array::from_fn(|k| s[k] / largest);
+    let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = s;
     #[rustfmt::skip]
     let mut matrix = [
         xx + yy + zz, yz - zy, zx - xz, xy - yx,
@@ -380,11 +383,54 @@ fn rotation(s: &[f64]) -> [f64; 9] {
         zx - xz, xy + yx, yy - xx - zz, yz + zy,
         xy - yx, zx + xz, yz + zy, zz - xx - yy,
     ];
+    let square: f64 = s.iter().map(|x| x * x).sum();
+    let linear = -8.0 * (xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx));
+    let constant = adjugate(&matrix).1;
+    let mut top = (3.0 * square).sqrt(); // no singular values of S add up to more
+    for _ in 0..50 {
+        let slope = (4.0 * top * top - 4.0 * square) * top + linear;
+        let step = (((top * top - 2.0 * square) * top + linear) * top + constant) / slope;
+        if !(step > 1e-15 * top) {
+            break;
+        }
+        top -= step;
+    }
+    let mut shifted = matrix;
+    (0..4).for_each(|k| shifted[5 * k] -= top);
+    let columns = adjugate(&shifted).0;
+    let best = (0..4).fold(0, |best, k| if columns[k][k].abs() > columns[best][best].abs() { k } else { best });
+    let length = columns[best].iter().map(|x| x * x).sum::<f64>().sqrt();
+    if length > 1e-3 {
+        return turn(columns[best].map(|x| x / length));
+    }
     let (mut values, mut work) = ([0.0; 4], [0.0; 4]);
     if !symmetric_eigen(&mut matrix, 4, &mut values, &mut work) {
         return [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     }
-    let [w, x, y, z] = [matrix[3], matrix[7], matrix[11], matrix[15]];
+    turn([matrix[3], matrix[7], matrix[11], matrix[15]])
+}
+
+/// Adjugate, row after row, and determinant of a symmetric matrix of order 4.
+fn adjugate(m: &[f64; 16]) -> ([[f64; 4]; 4], f64) {
+    let minor = |row: usize, a: usize, b: usize| m[row + a] * m[row + 4 + b] - m[row + 4 + a] * m[row + b];
+    let [s0, s1, s2, s3, s4, s5] = [minor(0, 0, 1), minor(0, 0, 2), minor(0, 0, 3), minor(0, 1, 2), minor(0, 1, 3), minor(0, 2, 3)];
+    let [c0, c1, c2, c3, c4, c5] = [minor(8, 0, 1), minor(8, 0, 2), minor(8, 0, 3), minor(8, 1, 2), minor(8, 1, 3), minor(8, 2, 3)];
+    let b00 = m[5] * c5 - m[6] * c4 + m[7] * c3;
+    let b01 = -m[1] * c5 + m[2] * c4 - m[3] * c3;
+    let b02 = m[13] * s5 - m[14] * s4 + m[15] * s3;
+    let b03 = -m[9] * s5 + m[10] * s4 - m[11] * s3;
+    let b11 = m[0] * c5 - m[2] * c2 + m[3] * c1;
+    let b12 = -m[12] * s5 + m[14] * s2 - m[15] * s1;
+    let b13 = m[8] * s5 - m[10] * s2 + m[11] * s1;
+    let b22 = m[12] * s4 - m[13] * s2 + m[15] * s0;
+    let b23 = -m[8] * s4 + m[9] * s2 - m[11] * s0;
+    let b33 = m[8] * s3 - m[9] * s1 + m[10] * s0;
+    let determinant = s0 * c5 - s1 * c4 + s2 * c3 + s3 * c2 - s4 * c1 + s5 * c0;
+    ([[b00, b01, b02, b03], [b01, b11, b12, b13], [b02, b12, b22, b23], [b03, b13, b23, b33]], determinant)
+}
+
+/// The rotation of a unit quaternion.
+fn turn([w, x, y, z]: [f64; 4]) -> [f64; 9] {
     [
         w * w + x * x - y * y - z * z,
         2.0 * (x * y - w * z),
@@ -396,4 +442,47 @@ fn rotation(s: &[f64]) -> [f64; 9] {
         2.0 * (y * z + w * x),
         w * w - x * x - y * y + z * z,
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trace(r: &[f64; 9], s: &[f64]) -> f64 {
+        (0..9).map(|k| r[k] * s[3 * (k % 3) + k / 3]).sum()
+    }
+
+    #[test]
+    fn rotations_are_the_best_ones() {
+        // pseudo-random covariances: full, flat, thin, mirrored, of rank one, tiny and huge
+        let mut state = 1u64;
+        let mut number = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 33) as f64 / f64::from(1u32 << 30) - 1.0
+        };
+        for case in 0..2000 {
+            let rank = 1 + case % 3;
+            let mut s = [0.0; 9];
+            for term in 0..rank {
+                let (a, b): ([f64; 3], [f64; 3]) = (std::array::from_fn(|_| number()), std::array::from_fn(|_| number()));
+                let weight = 10f64.powi(-((term * (case / 3 % 6)) as i32));
+                (0..9).for_each(|k| s[k] += weight * a[k / 3] * b[k % 3]);
+            }
+            let scale = [1e-200, 1.0, 1e150][case % 3];
+            let scaled = s.map(|x| x * scale);
+            let r = rotation(&scaled);
+            for a in 0..3 {
+                for b in 0..3 {
+                    let product: f64 = (0..3).map(|k| r[3 * a + k] * r[3 * b + k]).sum();
+                    assert!((product - f64::from(u8::from(a == b))).abs() < 1e-12);
+                }
+            }
+            let matrix = MatRef::from_row_major_slice(&s, 3, 3);
+            let svd = matrix.svd().unwrap();
+            let sizes = [svd.S()[0], svd.S()[1], svd.S()[2]];
+            let determinant = matrix.determinant();
+            let most = sizes[0] + sizes[1] + if determinant < 0.0 { -sizes[2] } else { sizes[2] };
+            assert!((trace(&r, &s) - most).abs() < 1e-12 * sizes[0], "{case}: {} {most}", trace(&r, &s));
+        }
+    }
 }

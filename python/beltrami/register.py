@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import os
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -65,12 +66,20 @@ class Side:
     def modes(self) -> int:
         return len(self.values)
 
-    def spectral(self, modes: int, weight: float, *, sampled: bool) -> tuple[Floats, Floats, Floats]:
-        """Eigenfunctions, weighted features and masses, at the samples or everywhere, as the core takes them."""
-        features = np.concatenate([weight / np.sqrt(max(self.curvature.shape[1], 1)) * self.curvature, self.descriptors], 1)
-        if sampled:
-            return np.ascontiguousarray(self.functions[self.samples, :modes]), features[self.samples], self.sample_masses
-        return np.ascontiguousarray(self.functions[:, :modes]), features, self.mass
+    def spectral(self, modes: int, weight: float, samples: tuple[Ints, Floats] | None = None) -> tuple[Floats, Floats, Floats]:
+        """Eigenfunctions, weighted features and masses, at samples with their masses or everywhere, as the core takes them."""
+        chosen, masses = (slice(None), self.mass) if samples is None else samples
+        scale = weight / np.sqrt(max(self.curvature.shape[1], 1))
+        features = np.concatenate([scale * self.curvature[chosen], self.descriptors[chosen]], 1)
+        return np.ascontiguousarray(self.functions[chosen, :modes]), features, masses
+
+    def first(self, count: int) -> tuple[Ints, Floats]:
+        """The first samples, which are farthest points too, and their masses."""
+        chosen = self.samples[:count]
+        if len(chosen) == len(self.samples):
+            return chosen, self.sample_masses
+        owner = nearest_neighbors(self.positions[chosen], self.positions, 1)[0][:, 0]
+        return chosen, _gathered(owner, self.mass, len(chosen))
 
 
 def vertex_normals(positions: Floats, faces: Ints) -> Floats:
@@ -184,22 +193,35 @@ def _curvature(side: Side) -> Floats:
 
 def _triple_products(side: Side, count: int) -> tuple[Floats, Floats]:
     """∫ φ_i φ_j φ_k, and ∫ φ_i dφ_j ∧ dφ_k, which a mirror image has with the other sign (0 without an orientation)."""
-    functions = side.functions[:, :count]
+    functions = np.ascontiguousarray(side.functions[:, :count])
+    even, odd = np.zeros((2, count, count, count))
     first, second = np.triu_indices(count)
-    even = np.zeros((count,) * 3)
-    products = functions.T @ (side.mass[:, None] * functions[:, first] * functions[:, second])
+    products = np.zeros((count, len(first)))
+    for rows in _parts(len(functions)):
+        some = functions[rows]
+        products += (side.mass[rows, None] * some).T @ _pairs(some, some)
     even[:, first, second] = even[:, second, first] = products
-    odd = np.zeros((count,) * 3)
     if side.faces is not None and side.dimension == 2:
         faces = side.faces[(side.mass[side.faces] > 0).all(1)]
-        a, b, c = (functions[faces[:, corner]] for corner in range(3))
-        along, across = b - a, c - a
         first, second = np.triu_indices(count, 1)
-        wedge = along[:, first] * across[:, second] - across[:, first] * along[:, second]
-        products = ((a + b + c) / 6).T @ wedge
+        products = np.zeros((count, len(first)))
+        for rows in _parts(len(faces)):
+            a, b, c = (functions[faces[rows, corner]] for corner in range(3))
+            products += ((a + b + c) / 6).T @ (_pairs(b - a, c - a, 1) - _pairs(c - a, b - a, 1))
         odd[:, first, second], odd[:, second, first] = products, -products
         odd = (odd + odd.transpose(1, 2, 0) + odd.transpose(2, 0, 1)) / 3
     return even, odd
+
+
+def _parts(count: int) -> list[slice]:
+    """Rows that fit into a processor's cache with their products."""
+    return [slice(start, start + 256) for start in range(0, count, 256)]
+
+
+def _pairs(left: Floats, right: Floats, apart: int = 0) -> Floats:
+    """Products of column i of the left and column j >= i + apart of the right."""
+    count = left.shape[1]
+    return np.concatenate([left[:, i, None] * right[:, i + apart :] for i in range(count)], 1)
 
 
 @dataclass(eq=False)
@@ -284,10 +306,11 @@ def _beam(products: _Products, top: int, powers: tuple[float, float], weight: fl
     return maps[:keep]
 
 
-def _grown(maps: Floats, levels: list[int], source: Side, target: Side, weight: float) -> Floats:
-    """Two-way upsampling on the samples through `levels`."""
+def _grown(maps: Floats, levels: list[int], source: Side, target: Side, weight: float, samples: int = _SAMPLES) -> Floats:
+    """Two-way upsampling on some samples through `levels`."""
+    chosen = [side.first(samples) for side in (source, target)]
     for k, following in itertools.pairwise([maps.shape[1], *levels]):
-        a, b = (side.spectral(max(k, following), weight, sampled=True) for side in (source, target))
+        a, b = (side.spectral(max(k, following), weight, some) for side, some in zip((source, target), chosen, strict=True))
         maps = _core.upsample_maps(np.ascontiguousarray(maps), following, a, b)
     return maps
 
@@ -326,9 +349,9 @@ class RegistrationCandidate:
     Attributes
     ----------
     functional_map : (k, k) array
-        Orthogonal, between the eigenfunctions after the constant.
+        Orthogonal, between the eigenfunctions, the constant first.
     point_map : (n,) int32 array
-        Index in the target of each source point, by this map alone (not polished).
+        Index in the target of each source point, by this map alone (not polished). Computed when it is asked for.
     energy : float
         What decides: of deforming the source onto its image (oriented surfaces in R^3), or else the mean squared distance of nearest
         rows. Only energies of one call compare.
@@ -339,10 +362,16 @@ class RegistrationCandidate:
     """
 
     functional_map: Floats
-    point_map: Ints
     energy: float
     smoothness: float
     orientation: float
+    functions: tuple[Floats, Floats] = field(repr=False)
+
+    @cached_property
+    def point_map(self) -> Ints:
+        k = len(self.functional_map) - 1
+        source, target = self.functions
+        return _core.nearest_rows(np.ascontiguousarray(target[:, :k]), _product(source[:, :k], self.functional_map[1:, 1:]))[0]
 
     def __repr__(self) -> str:
         return f"RegistrationCandidate(energy {self.energy:.4g}, smoothness {self.smoothness:.3f}, orientation {self.orientation:.3f})"
@@ -350,24 +379,16 @@ class RegistrationCandidate:
 
 def _point_maps(maps: Floats, source: Side, target: Side, weight: float) -> tuple[Ints, Ints]:
     k = len(maps)
-    return _core.spectral_point_maps(
-        np.ascontiguousarray(maps), source.spectral(k, weight, sampled=False), target.spectral(k, weight, sampled=False)
-    )
+    return _core.spectral_point_maps(np.ascontiguousarray(maps), source.spectral(k, weight), target.spectral(k, weight))
 
 
 def _sample_image(matrix: Floats, source: Side, target: Side, weight: float) -> tuple[Ints, Floats]:
     """Nearest target point of each source sample, and its distance."""
     k = len(matrix)
-    functions, features, _ = source.spectral(k, weight, sampled=True)
-    others, other_features, _ = target.spectral(k, weight, sampled=False)
+    functions, features, _ = source.spectral(k, weight, source.first(len(source.samples)))
+    others, other_features, _ = target.spectral(k, weight)
     rows = np.concatenate([_product(functions, matrix) / np.sqrt(k), features], 1)
     return _core.nearest_rows(np.concatenate([others / np.sqrt(k), other_features], 1), rows)
-
-
-def _forward(matrix: Floats, source: Side, target: Side) -> Ints:
-    """Nearest target point of each source point, without features."""
-    k = len(matrix)
-    return _core.nearest_rows(np.ascontiguousarray(target.functions[:, :k]), _product(source.functions[:, :k], matrix))[0]
 
 
 def _product(rows: Floats, matrix: Floats) -> Floats:
@@ -439,11 +460,19 @@ def _judge(maps: Floats, products: _Products, source: Side, target: Side, rigid:
         for index in np.argsort(energies, kind="stable")[:4]:
             if energies[index] < 1.5 * energies.min():
                 energies[index], places[index] = fitting.run(places[index], 3)
+    return _listed(maps, energies, scores, source, target)
+
+
+def _listed(maps: Floats, energies: Floats, scores: Floats, source: Side, target: Side) -> list[RegistrationCandidate]:
+    """Candidates, best first. Mirror images are left out as long as there is another."""
+    k = maps.shape[1]
+    functions = (source.functions[:, :k].copy(), target.functions[:, :k].copy())
     found = [
-        RegistrationCandidate(matrix, _forward(matrix, source, target), float(energy), float(score[0]), float(score[1]))
+        RegistrationCandidate(_with_constant(matrix), float(energy), float(score[0]), float(score[1]), functions)
         for matrix, energy, score in zip(maps, energies, scores, strict=True)
     ]
-    return sorted(found, key=lambda candidate: candidate.energy)
+    found.sort(key=lambda candidate: candidate.energy)
+    return [candidate for candidate in found if candidate.orientation >= 0] or found
 
 
 def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: int = 15, report: Any = None) -> tuple[Ints, Ints, Floats]:
@@ -498,10 +527,7 @@ class Eigenmap:
 
 def eigenmap(side: Side, count: int, modes: int) -> Eigenmap:
     """The eigenmap at the first `count` samples."""
-    chosen, masses = side.samples[:count], side.sample_masses
-    if len(chosen) < len(side.samples):  # fewer samples: each stands for more
-        owner = nearest_neighbors(side.positions[chosen], side.positions, 1)[0][:, 0]
-        masses = _gathered(owner, side.mass, len(chosen))
+    chosen, masses = side.first(count)
     return Eigenmap(side.values[:modes].copy(), np.ascontiguousarray(side.functions[chosen, :modes]), masses, side.dimension)
 
 
@@ -691,20 +717,6 @@ class RegistrationResult:
         return path
 
 
-def _candidates(
-    rotations: list[Floats], energies: list[float], products: _Products, source: Side, target: Side
-) -> list[RegistrationCandidate]:
-    """What is known of rotations of eigenmaps; their squared sliced distances as energies."""
-    maps = np.ascontiguousarray(np.array(rotations))
-    n = min(maps.shape[1], len(products.linear))
-    _, scores = products.ascend(np.ascontiguousarray(maps[:, :n, :n]), (0.25, 0.5), 1.0, 0)
-    found = []
-    for matrix, energy, score in zip(maps, energies, scores, strict=True):
-        image, _ = _point_maps(matrix, source, target, 0.0)
-        found.append(RegistrationCandidate(matrix, image, energy, float(score[0]), float(score[1])))
-    return found
-
-
 def _twins(candidates: list[RegistrationCandidate]) -> str:
     """Says it where another candidate is as good as the best but for a tenth."""
     close = [k for k, other in enumerate(candidates[1:], 1) if other.energy < 1.1 * candidates[0].energy]
@@ -828,11 +840,13 @@ def match(
         runs, distances = align_eigenmaps(coarse[0], coarse[1], levels, seed, finest=(fine[0], fine[1]))
         history["levels"], history["distance"] = np.array(levels, float), np.array(distances)
         told(0.8)
-        candidates = _candidates([run.rotation for run in runs], [run.value for run in runs], products, source, target)
-        if oriented and candidates[0].orientation < 0 < max(candidate.orientation for candidate in candidates):
-            candidates.sort(key=lambda candidate: candidate.orientation < 0)
+        maps = np.array([run.rotation for run in runs])
+        n = min(maps.shape[1], len(products.linear))
+        _, scores = products.ascend(maps[:, :n, :n], (0.25, 0.5), 1.0, 0)
+        candidates = _listed(maps, np.array([run.value for run in runs]), scores, source, target)
+        if candidates[0].energy > runs[0].value:
             notes.append("a mirror image has the smaller distance; orientation decided")
-        matrix = candidates[0].functional_map
+        matrix = candidates[0].functional_map[1:, 1:]
         forward, backward = _point_maps(matrix, source, target, 0.0)
         positions = None
         extrinsic = False
@@ -841,7 +855,7 @@ def match(
         maps = np.concatenate([_beam(products, top, powers, weight, 32, 8) for powers, weight in leads])
         maps = maps[_distinct(maps, -np.arange(len(maps), dtype=float), len(maps), 0.98, len(maps))]
         told(0.3)
-        maps = _grown(maps, upto(24, 30), source, target, 0.3)
+        maps = _grown(maps, upto(24, 30), source, target, 0.3, _SAMPLES // 2)
         n = maps.shape[1]
         _, scores = products.ascend(maps, (0.25, 0.5), 1.0, 0)
         maps = maps[_distinct(maps, scores.sum(1), most, 0.95, len(maps))]
@@ -851,10 +865,10 @@ def match(
         rigid = _Rigid(source) if extrinsic else None
         candidates = _judge(maps, products, source, target, rigid)
         told(0.6)
-        matrix = _grown(candidates[0].functional_map[None], upto(80, 100, 120), source, target, 0.6)[0]
+        matrix = _grown(candidates[0].functional_map[None, 1:, 1:], upto(80, 100, 120), source, target, 0.6)[0]
         n = len(matrix)
         history["levels"] = np.array([*range(min(4, top), top + 1), *upto(24, 30, 36, 42, 48, 54, 60, 80, 100, 120)], float)
-        sides = [side.spectral(n, 0.6, sampled=False) for side in (source, target)]
+        sides = [side.spectral(n, 0.6) for side in (source, target)]
         forward, backward = _point_maps(matrix, source, target, 0.6)
         matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
         told(0.7)
@@ -877,7 +891,7 @@ def match(
         functional_map=_with_constant(matrix),
         rotation=rotation,
         distance=distance,
-        candidates=tuple(replace(c, functional_map=_with_constant(c.functional_map)) for c in candidates),
+        candidates=tuple(candidates),
         coverage=coverage(forward, target.mass),
         bijectivity=float(source.mass @ np.linalg.norm(moved, axis=1)),
         orientation=candidates[0].orientation,
