@@ -1,50 +1,62 @@
 //! Which corners of triangles lie on a vertex.
 
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// For each vertex the corners (3 face + corner) that lie on it, by ascending face.
 pub(super) struct Corners {
-    starts: Vec<usize>,
+    starts: Vec<u32>,
     corners: Vec<u32>,
+    /// Whether the neighbours of a vertex do not pair up: each is there an even number of times where faces close around it.
+    open: Vec<bool>,
 }
 
 impl Corners {
     pub(super) fn new(count: usize, faces: &[[u32; 3]]) -> Self {
-        let flat = faces.as_flattened();
-        // Each task owns a range of vertices and reads all faces: no atomics, and the same order however many tasks.
-        let tasks = rayon::current_num_threads().clamp(1, 16);
-        let width = count.div_ceil(tasks).max(1);
-        let mut starts = vec![0; count + 1];
-        starts[1..].par_chunks_mut(width).enumerate().for_each(|(task, counts)| {
-            let first = task * width;
-            for &vertex in flat {
-                if let Some(number) = counts.get_mut((vertex as usize).wrapping_sub(first)) {
-                    *number += 1;
+        // Each task counts and then places the corners of its own faces, behind those of the tasks before: so the order is
+        // the same however many tasks.
+        let tasks = rayon::current_num_threads().clamp(1, 8);
+        let width = faces.len().div_ceil(tasks).max(1);
+        let mut tables: Vec<Vec<[u32; 2]>> = faces
+            .par_chunks(width)
+            .map(|faces| {
+                let mut table = vec![[0; 2]; count];
+                for &[a, b, c] in faces {
+                    for (vertex, others) in [(a, b ^ c), (b, c ^ a), (c, a ^ b)] {
+                        let [number, odd] = &mut table[vertex as usize];
+                        *number += 1;
+                        *odd ^= others;
+                    }
                 }
-            }
-        });
+                table
+            })
+            .collect();
+        let mut starts = Vec::with_capacity(count + 1);
+        let mut open = Vec::with_capacity(count);
+        let mut sum = 0;
         for vertex in 0..count {
-            starts[vertex + 1] += starts[vertex];
+            starts.push(sum);
+            let mut odd = 0;
+            for table in &mut tables {
+                let [number, others] = &mut table[vertex];
+                odd ^= *others;
+                sum += std::mem::replace(number, sum);
+            }
+            open.push(odd != 0);
         }
-        let mut corners = vec![0; flat.len()];
-        let mut rest = corners.as_mut_slice();
-        let mut parts = Vec::new();
-        for first in (0..count).step_by(width) {
-            let last = (first + width).min(count);
-            let (part, after) = std::mem::take(&mut rest).split_at_mut(starts[last] - starts[first]);
-            parts.push((first, last, part));
-            rest = after;
-        }
-        parts.into_par_iter().for_each(|(first, last, part)| {
-            let mut next: Vec<usize> = starts[first..last].iter().map(|start| start - starts[first]).collect();
-            for (corner, &vertex) in flat.iter().enumerate() {
-                if let Some(at) = next.get_mut((vertex as usize).wrapping_sub(first)) {
-                    part[*at] = corner as u32;
-                    *at += 1;
-                }
+        starts.push(sum);
+        // Places are disjoint, which only atomics can say: their stores are ordinary ones.
+        let corners: Vec<AtomicU32> = (0..sum).into_par_iter().map(|_| AtomicU32::new(0)).collect();
+        faces.par_chunks(width).zip(&mut tables).enumerate().for_each(|(task, (faces, table))| {
+            let mut corner = (3 * task * width) as u32;
+            for &vertex in faces.as_flattened() {
+                let at = &mut table[vertex as usize][0];
+                corners[*at as usize].store(corner, Ordering::Relaxed);
+                *at += 1;
+                corner += 1;
             }
         });
-        Corners { starts, corners }
+        Corners { starts, corners: corners.into_iter().map(AtomicU32::into_inner).collect(), open }
     }
 
     pub(super) fn vertex_count(&self) -> usize {
@@ -52,11 +64,16 @@ impl Corners {
     }
 
     /// Where the corners of each vertex start among all; vertices + 1 numbers.
-    pub(super) fn starts(&self) -> &[usize] {
+    pub(super) fn starts(&self) -> &[u32] {
         &self.starts
     }
 
     pub(super) fn of(&self, vertex: usize) -> &[u32] {
-        &self.corners[self.starts[vertex]..self.starts[vertex + 1]]
+        &self.corners[self.starts[vertex] as usize..self.starts[vertex + 1] as usize]
+    }
+
+    /// Number of neighbours of a vertex that the faces surround once, all around or from boundary to boundary.
+    pub(super) fn fan_neighbors(&self, vertex: usize) -> usize {
+        self.of(vertex).len() + usize::from(self.open[vertex])
     }
 }

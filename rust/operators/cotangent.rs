@@ -6,8 +6,10 @@
 
 use super::corners::Corners;
 use crate::error::{Error, Result};
-use crate::shape::TriangleMesh;
+use crate::shape::{TriangleMesh, mesh};
 use crate::sparse::{CHUNK, Csr, append_sums};
+use bytemuck::{Pod, Zeroable};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Stiffness, mass and mean edge length of a mesh.
@@ -22,7 +24,8 @@ pub struct MeshOperators {
 }
 
 /// What one triangle contributes: half the cotangent at each corner, and its area.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
 struct Element {
     half_cotangents: [f64; 3],
     area: f64,
@@ -36,27 +39,52 @@ const ROUNDING: f64 = 1e-10;
 /// Squared edges beyond these bounds over- or underflow in the squared area.
 const SCALE: std::ops::Range<f64> = 1e-140..1e150;
 
-fn element(mesh: &TriangleMesh, face: usize) -> Result<Element> {
-    let [a, b, c] = mesh.faces()[face].map(|corner| mesh.vertex(corner));
-    let dot = |p: &[f64], q: &[f64], r: &[f64]| (0..mesh.dimension()).map(|i| (q[i] - p[i]) * (r[i] - p[i])).sum::<f64>();
-    let area = mesh.face_area(face);
-    let longest = mesh.squared_edge_lengths(face).into_iter().fold(0.0, f64::max);
-    if longest > 0.0 && !SCALE.contains(&longest) {
-        return Err(Error::input(format!(
-            "face {face} has an edge of squared length {longest:e}, which is out of the range of double precision; rescale the shape"
-        )));
-    }
-    if 2.0 * area <= DEGENERATE * longest || area == 0.0 {
-        return Err(Error::input(format!(
-            "face {face} ({:?}) is degenerate: its corners lie on a line; use laplacian=\"intrinsic_delaunay\", or remove it",
-            mesh.faces()[face]
-        )));
-    }
-    let half_cotangents = [dot(a, b, c), dot(b, c, a), dot(c, a, b)].map(|product| product / (4.0 * area));
-    Ok(Element { half_cotangents, area })
+struct Measured {
+    element: Element,
+    squared_lengths: [f64; 3],
 }
 
-fn elements(mesh: &TriangleMesh) -> Result<Vec<Element>> {
+#[inline(always)]
+fn measured(corners: [&[f64]; 3]) -> Measured {
+    let [a, b, c] = corners;
+    let dot = |p: &[f64], q: &[f64], r: &[f64]| (0..a.len()).map(|i| (q[i] - p[i]) * (r[i] - p[i])).sum::<f64>();
+    let area = mesh::area(corners);
+    let half_cotangents = [dot(a, b, c), dot(b, c, a), dot(c, a, b)].map(|product| product / (4.0 * area));
+    Measured { element: Element { half_cotangents, area }, squared_lengths: mesh::squared_edge_lengths(corners) }
+}
+
+impl Measured {
+    fn longest(&self) -> f64 {
+        self.squared_lengths.iter().copied().fold(0.0, f64::max)
+    }
+
+    fn usable(&self) -> bool {
+        let (area, longest) = (self.element.area, self.longest());
+        SCALE.contains(&longest) && 2.0 * area > DEGENERATE * longest
+    }
+}
+
+/// Why a triangle has no element.
+fn refusal(mesh: &TriangleMesh, face: usize) -> Error {
+    let longest = mesh.at_corners(face, measured).longest();
+    if longest > 0.0 && !SCALE.contains(&longest) {
+        return Error::input(format!(
+            "face {face} has an edge of squared length {longest:e}, which is out of the range of double precision; rescale the shape"
+        ));
+    }
+    Error::input(format!(
+        "face {face} ({:?}) is degenerate: its corners lie on a line; use laplacian=\"intrinsic_delaunay\", or remove it",
+        mesh.faces()[face]
+    ))
+}
+
+struct Elements {
+    all: Box<[Element]>,
+    /// Sum of the lengths of the edges of all triangles.
+    edge_lengths: f64,
+}
+
+fn elements(mesh: &TriangleMesh) -> Result<Elements> {
     let count = mesh.faces().len();
     if count == 0 {
         return Err(Error::input(format!("the mesh has no triangles ({} vertices); operators need at least one", mesh.vertex_count())));
@@ -64,17 +92,27 @@ fn elements(mesh: &TriangleMesh) -> Result<Vec<Element>> {
     if count > u32::MAX as usize / 3 {
         return Err(Error::input(format!("{count} triangles; operators take up to {}", u32::MAX / 3)));
     }
-    let mut elements = vec![Element { half_cotangents: [0.0; 3], area: 0.0 }; count];
-    let failed = elements.par_chunks_mut(CHUNK).enumerate().find_map_first(|(chunk, elements)| {
-        elements.iter_mut().enumerate().find_map(|(offset, out)| match element(mesh, chunk * CHUNK + offset) {
-            Ok(found) => {
-                *out = found;
-                None
+    let mut all: Box<[Element]> = bytemuck::allocation::zeroed_slice_box(count);
+    let lengths: Option<Vec<f64>> = all
+        .par_chunks_mut(CHUNK)
+        .enumerate()
+        .map(|(chunk, elements)| {
+            let mut sum = 0.0;
+            let mut good = true;
+            for (face, element) in (chunk * CHUNK..).zip(elements) {
+                let found = mesh.at_corners(face, measured);
+                good &= found.usable();
+                *element = found.element;
+                sum += found.squared_lengths.map(f64::sqrt).iter().sum::<f64>();
             }
-            Err(error) => Some(error),
+            good.then_some(sum)
         })
-    });
-    failed.map_or(Ok(elements), Err)
+        .collect();
+    let Some(lengths) = lengths else {
+        let face = (0..count).find(|&face| !mesh.at_corners(face, measured).usable()).unwrap_or_default();
+        return Err(refusal(mesh, face));
+    };
+    Ok(Elements { all, edge_lengths: lengths.iter().sum() })
 }
 
 /// A symmetric matrix from what each corner adds to its row: `entries(corner, put)` puts (column, value) pairs.
@@ -143,16 +181,203 @@ fn mean_edge_length(mesh: &TriangleMesh, stiffness: &Csr) -> f64 {
 /// [`Error::Input`] if there is no triangle, one is degenerate, or its size is out of the range of double precision.
 pub fn cotangent_operators(mesh: &TriangleMesh) -> Result<MeshOperators> {
     let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
+    if let Some(found) = of_fans(mesh, &elements, &corners) {
+        return Ok(found);
+    }
     let stiffness = assemble(&corners, true, |corner, row| {
-        let (face, at) = (corner as usize / 3, corner as usize % 3);
-        let (next, last) = ((at + 1) % 3, (at + 2) % 3);
-        let element = &elements[face];
-        row.push((mesh.faces()[face][next], -element.half_cotangents[last]));
-        row.push((mesh.faces()[face][last], -element.half_cotangents[next]));
+        row.extend(Beside::new(corner, mesh.faces(), &elements.all).entries());
     });
-    let mass = lumped(&corners, |corner| elements[corner as usize / 3].area / 3.0);
+    let mass = lumped(&corners, |corner| elements.all[corner as usize / 3].area / 3.0);
     let spacing = mean_edge_length(mesh, &stiffness);
     Ok(MeshOperators { stiffness, mass, spacing })
+}
+
+/// What a corner adds to the row of its vertex.
+struct Beside {
+    next: u32,
+    next_value: f64,
+    last: u32,
+    last_value: f64,
+    area: f64,
+}
+
+impl Beside {
+    #[inline(always)]
+    fn new(corner: u32, faces: &[[u32; 3]], elements: &[Element]) -> Self {
+        let (face, at) = (corner as usize / 3, corner as usize % 3);
+        let (next, last) = if at == 0 { (1, 2) } else { (if at == 1 { 2 } else { 0 }, at - 1) };
+        let (face, element) = (&faces[face], &elements[face]);
+        Beside {
+            next: face[next],
+            next_value: -element.half_cotangents[last],
+            last: face[last],
+            last_value: -element.half_cotangents[next],
+            area: element.area,
+        }
+    }
+
+    fn entries(&self) -> [(u32, f64); 2] {
+        [(self.next, self.next_value), (self.last, self.last_value)]
+    }
+}
+
+/// The operators of a mesh whose vertices are each surrounded once by their faces, or from boundary to boundary: as the
+/// lengths of the rows are known before, they are written at once to where they stay. None if a vertex is not like that.
+fn of_fans(mesh: &TriangleMesh, elements: &Elements, corners: &Corners) -> Option<MeshOperators> {
+    let count = corners.vertex_count();
+    let mut starts = Vec::with_capacity(count + 1);
+    let mut sum = 0;
+    starts.push(0);
+    for vertex in 0..count {
+        let neighbors = corners.fan_neighbors(vertex);
+        sum += if neighbors == 0 { 0 } else { neighbors + 1 };
+        starts.push(sum);
+    }
+    let (mut indices, mut values, mut mass) = (vec![0; sum], vec![0.0; sum], vec![0.0; count]);
+    let mut tasks = Vec::with_capacity(count.div_ceil(CHUNK));
+    let (mut left_indices, mut left_values) = (indices.as_mut_slice(), values.as_mut_slice());
+    for (chunk, mass) in mass.chunks_mut(CHUNK).enumerate() {
+        let first = chunk * CHUNK;
+        let size = starts[first + mass.len()] - starts[first];
+        let (indices, after_indices) = std::mem::take(&mut left_indices).split_at_mut(size);
+        let (values, after_values) = std::mem::take(&mut left_values).split_at_mut(size);
+        (left_indices, left_values) = (after_indices, after_values);
+        tasks.push(Fans { mesh, elements, corners, starts: &starts, first, indices, values, mass });
+    }
+    let boundary: Vec<f64> = tasks.into_par_iter().with_max_len(1).map(|fans| Arch::new().dispatch(fans)).collect::<Option<_>>()?;
+    // all edges twice
+    let length = elements.edge_lengths + boundary.iter().sum::<f64>();
+    let ends = sum - (0..count).filter(|&vertex| starts[vertex + 1] > starts[vertex]).count();
+    let stiffness = Csr::trusted(count, count, starts, indices, values);
+    Some(MeshOperators { stiffness, mass, spacing: length / ends as f64 })
+}
+
+/// Some rows in a run.
+struct Fans<'a> {
+    mesh: &'a TriangleMesh<'a>,
+    elements: &'a Elements,
+    corners: &'a Corners,
+    starts: &'a [usize],
+    first: usize,
+    indices: &'a mut [u32],
+    values: &'a mut [f64],
+    mass: &'a mut [f64],
+}
+
+impl WithSimd for Fans<'_> {
+    /// The lengths of the edges with one face, counted from their lesser vertex; none if a row is no fan.
+    type Output = Option<f64>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Option<f64> {
+        let mut boundary = 0.0;
+        let mut work = Vec::new();
+        let before = self.starts[self.first];
+        for (vertex, mass) in (self.first..).zip(self.mass) {
+            let around = self.corners.of(vertex);
+            let range = self.starts[vertex] - before..self.starts[vertex + 1] - before;
+            let mut row = Row {
+                vertex: vertex as u32,
+                around,
+                faces: self.mesh.faces(),
+                elements: &self.elements.all,
+                indices: &mut self.indices[range.clone()],
+                values: &mut self.values[range],
+                mass,
+            };
+            let done = match around.len() {
+                0 => true,
+                1..=8 => row.closed::<8>(),
+                9..=16 => row.closed::<16>(),
+                _ => false,
+            };
+            if !done {
+                boundary += row.open(self.mesh, &mut work)?;
+            }
+        }
+        Some(boundary)
+    }
+}
+
+/// A row to be filled.
+struct Row<'a> {
+    vertex: u32,
+    around: &'a [u32],
+    faces: &'a [[u32; 3]],
+    elements: &'a [Element],
+    indices: &'a mut [u32],
+    values: &'a mut [f64],
+    mass: &'a mut f64,
+}
+
+impl Row<'_> {
+    /// Up to N faces of one orientation that close around the vertex: each neighbour is the next of one corner and the last of another.
+    /// False if it is not so. Without branches that depend on the mesh.
+    #[inline(always)]
+    fn closed<const N: usize>(&mut self) -> bool {
+        let size = self.around.len();
+        let (mut columns, mut lasts, mut values, mut last_values) = ([u32::MAX; N], [0; N], [0.0; N], [0.0; N]);
+        let mut mass = 0.0;
+        for (k, &corner) in self.around.iter().enumerate().take(N) {
+            let beside = Beside::new(corner, self.faces, self.elements);
+            (columns[k], values[k]) = (beside.next, beside.next_value);
+            (lasts[k], last_values[k]) = (beside.last, beside.last_value);
+            mass += beside.area / 3.0;
+        }
+        let mut seen = 0u32;
+        for (last, value) in lasts.iter().zip(&last_values).take(size) {
+            let same = (0..N).fold(0, |same, l| same | u32::from(columns[l] == *last) << l);
+            let at = same.trailing_zeros() as usize % N;
+            values[at] += value;
+            seen |= same & 1 << at;
+        }
+        if seen != (1 << size) - 1 || size + 1 != self.indices.len() {
+            return false;
+        }
+        let before = |column: u32| columns.iter().map(|&other| usize::from(other < column)).sum::<usize>();
+        for (&column, &value) in columns.iter().zip(&values).take(size) {
+            let at = before(column) + usize::from(self.vertex < column);
+            self.indices[at] = column;
+            self.values[at] = value;
+        }
+        let at = before(self.vertex);
+        self.indices[at] = self.vertex;
+        self.values[at] = 0.0;
+        self.values[at] = -self.values.iter().sum::<f64>();
+        *self.mass = mass;
+        true
+    }
+
+    /// Any faces around the vertex with one or two at each edge; the lengths of the edges of one face to greater neighbours. None if it is not so.
+    fn open(&mut self, mesh: &TriangleMesh, work: &mut Vec<(u32, f64)>) -> Option<f64> {
+        work.clear();
+        work.push((self.vertex, 0.0));
+        *self.mass = 0.0;
+        for &corner in self.around {
+            let beside = Beside::new(corner, self.faces, self.elements);
+            work.extend(beside.entries());
+            *self.mass += beside.area / 3.0;
+        }
+        work.sort_by_key(|&(column, _)| column);
+        let (mut length, mut slot, mut own) = (0.0, 0, 0);
+        for same in work.chunk_by(|a, b| a.0 == b.0) {
+            let column = same[0].0;
+            *self.indices.get_mut(slot)? = column;
+            self.values[slot] = same[1..].iter().fold(same[0].1, |sum, entry| sum + entry.1);
+            match same.len() {
+                1 if column == self.vertex => own = slot,
+                1 if column > self.vertex => {
+                    let (p, q) = (mesh.vertex(self.vertex), mesh.vertex(column));
+                    length += p.iter().zip(q).map(|(x, y)| (x - y) * (x - y)).sum::<f64>().sqrt();
+                }
+                1 | 2 => {}
+                _ => return None,
+            }
+            slot += 1;
+        }
+        self.values[own] = -self.values.iter().sum::<f64>();
+        (slot == self.indices.len()).then_some(length)
+    }
 }
 
 /// True if an edge of a stiffness matrix has a positive weight (an entry off the diagonal above rounding), as edges do that are not
@@ -178,7 +403,7 @@ pub fn has_positive_weights(stiffness: &Csr) -> bool {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
-    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
+    let (elements, corners) = (elements(mesh)?.all, Corners::new(mesh.vertex_count(), mesh.faces()));
     Ok(lumped(&corners, |corner| {
         let (face, at) = (corner as usize / 3, corner as usize % 3);
         let Element { half_cotangents: cotangents, area } = elements[face];
@@ -199,7 +424,7 @@ pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn galerkin_mass(mesh: &TriangleMesh) -> Result<Csr> {
-    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
+    let (elements, corners) = (elements(mesh)?.all, Corners::new(mesh.vertex_count(), mesh.faces()));
     Ok(assemble(&corners, false, |corner, row| {
         let (face, at) = (corner as usize / 3, corner as usize % 3);
         for other in 0..3 {
@@ -221,7 +446,7 @@ fn hat_gradient(mesh: &TriangleMesh, element: &Element, face: usize, corner: usi
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn gradient(mesh: &TriangleMesh) -> Result<Csr> {
-    let (elements, dimension) = (elements(mesh)?, mesh.dimension());
+    let (elements, dimension) = (elements(mesh)?.all, mesh.dimension());
     let rows = elements.len() * dimension;
     let (mut indices, mut values) = (vec![0; 3 * rows], vec![0.0; 3 * rows]);
     let width = 3 * dimension;
@@ -248,12 +473,12 @@ pub fn gradient(mesh: &TriangleMesh) -> Result<Csr> {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn divergence(mesh: &TriangleMesh, mass: &[f64]) -> Result<Csr> {
-    let (elements, corners, dimension) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()), mesh.dimension());
+    let (elements, corners, dimension) = (elements(mesh)?.all, Corners::new(mesh.vertex_count(), mesh.faces()), mesh.dimension());
     let count = mesh.vertex_count();
     if mass.len() != count {
         return Err(Error::input(format!("{} masses for a mesh of {count} vertices", mass.len())));
     }
-    let starts: Vec<usize> = corners.starts().iter().map(|start| start * dimension).collect();
+    let starts: Vec<usize> = corners.starts().iter().map(|&start| start as usize * dimension).collect();
     let columns = elements.len() * dimension;
     if columns > u32::MAX as usize {
         return Err(Error::input(format!("{columns} columns; a matrix can have up to 2^32 - 1")));

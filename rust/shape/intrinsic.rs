@@ -6,6 +6,7 @@
 use crate::control::Control;
 use crate::error::{Error, Result};
 use crate::shape::glue::{FREE, Glue};
+use crate::shape::mesh::{area, squared_edge_lengths};
 use crate::shape::topology::repeats_a_corner;
 use crate::shape::{Topology, TriangleMesh};
 use crate::sparse::CHUNK;
@@ -350,7 +351,7 @@ pub fn thinnest_face(mesh: &TriangleMesh<'_>) -> Option<(usize, f64)> {
     (0..mesh.faces().len())
         .into_par_iter()
         .with_min_len(CHUNK)
-        .map(|face| (face, 2.0 * mesh.face_area(face) / mesh.squared_edge_lengths(face).into_iter().fold(0.0, f64::max)))
+        .map(|face| (face, mesh.at_corners(face, |p| 2.0 * area(p) / squared_edge_lengths(p).into_iter().fold(0.0, f64::max))))
         .min_by(|a, b| rank(a.1).total_cmp(&rank(b.1)).then(a.0.cmp(&b.0)))
 }
 

@@ -44,7 +44,9 @@ impl<'a> TriangleMesh<'a> {
         if count > u32::MAX as usize / 2 {
             return Err(Error::input(format!("{count} vertices; a mesh can have up to 2^31 - 1")));
         }
-        if let Some(at) = vertices.par_iter().with_min_len(CHUNK).position_first(|number| !number.is_finite()) {
+        // whole chunks first: a loop without an exit is compiled for the machine's vectors
+        let fine = vertices.par_chunks(CHUNK).all(|part| part.iter().fold(true, |fine, number| fine & number.is_finite()));
+        if let Some(at) = (!fine).then(|| vertices.iter().position(|number| !number.is_finite())).flatten() {
             return Err(Error::input(format!(
                 "coordinate {} of vertex {} is {}; remove that vertex or give it a finite position",
                 at % dimension,
@@ -52,9 +54,11 @@ impl<'a> TriangleMesh<'a> {
                 vertices[at]
             )));
         }
-        if let Some(at) = faces.par_iter().with_min_len(CHUNK).position_first(|face| face.iter().any(|&corner| corner as usize >= count)) {
-            let corner = faces[at].iter().find(|&&corner| corner as usize >= count).copied().unwrap_or_default();
-            return Err(Error::input(format!("face {at} refers to vertex {corner}, the mesh has {count} vertices")));
+        let corners = faces.as_flattened();
+        let largest = corners.par_chunks(CHUNK).map(|part| part.iter().fold(0, |most: u32, &corner| most.max(corner))).max();
+        if largest.is_some_and(|largest| largest as usize >= count) {
+            let at = corners.iter().position(|&corner| corner as usize >= count).unwrap_or_default();
+            return Err(Error::input(format!("face {} refers to vertex {}, the mesh has {count} vertices", at / 3, corners[at])));
         }
         Ok(TriangleMesh { dimension, vertices, faces })
     }
@@ -87,14 +91,22 @@ impl<'a> TriangleMesh<'a> {
         &self.faces
     }
 
+    /// What `take` makes of the positions of a face's corners. In space it is compiled for three coordinates.
+    #[inline(always)]
+    pub(crate) fn at_corners<T>(&self, face: usize, take: impl Fn([&[f64]; 3]) -> T) -> T {
+        let corners = self.faces[face].map(|corner| self.vertex(corner));
+        if let (3, [Some(a), Some(b), Some(c)]) = (self.dimension, corners.map(<[f64]>::first_chunk::<3>)) {
+            return take([a, b, c]);
+        }
+        take(corners)
+    }
+
     /// Squared lengths of a face's three edges, each opposite to the corner of the same number.
     ///
     /// # Panics
     /// If there is no such face.
     pub fn squared_edge_lengths(&self, face: usize) -> [f64; 3] {
-        let [a, b, c] = self.faces[face].map(|corner| self.vertex(corner));
-        let squared = |p: &[f64], q: &[f64]| p.iter().zip(q).map(|(x, y)| (x - y) * (x - y)).sum::<f64>();
-        [squared(b, c), squared(c, a), squared(a, b)]
+        self.at_corners(face, squared_edge_lengths)
     }
 
     /// Area of a face, by Lagrange's identity in any D.
@@ -102,29 +114,7 @@ impl<'a> TriangleMesh<'a> {
     /// # Panics
     /// If there is no such face.
     pub fn face_area(&self, face: usize) -> f64 {
-        let [a, b, c] = self.faces[face].map(|corner| self.vertex(corner));
-        let twice = |scale: f64| {
-            let step = |p: &[f64], axis: usize| scale * (p[axis] - a[axis]);
-            let mut sum = 0.0;
-            for i in 0..self.dimension {
-                for j in 0..i {
-                    let minor = step(b, i) * step(c, j) - step(b, j) * step(c, i);
-                    sum += minor * minor;
-                }
-            }
-            sum
-        };
-        let sum = twice(1.0);
-        if (1e-200..1e200).contains(&sum) {
-            return 0.5 * sum.sqrt();
-        }
-        // fourth powers of the edges may have over- or underflowed
-        let largest = (0..self.dimension).map(|axis| (b[axis] - a[axis]).abs().max((c[axis] - a[axis]).abs())).fold(0.0, f64::max);
-        if !(largest > 0.0 && largest < f64::INFINITY) {
-            return largest;
-        }
-        let scale = 2f64.powi(-largest.log2().round().clamp(-1000.0, 1000.0) as i32);
-        0.5 * twice(scale).sqrt() / scale / scale
+        self.at_corners(face, area)
     }
 
     /// Areas of all faces.
@@ -145,4 +135,43 @@ impl<'a> TriangleMesh<'a> {
             faces: Cow::Owned(self.faces.into_owned()),
         }
     }
+}
+
+/// Squared lengths of a triangle's edges, each opposite to the corner of the same number.
+#[inline(always)]
+pub(crate) fn squared_edge_lengths([a, b, c]: [&[f64]; 3]) -> [f64; 3] {
+    let squared = |p: &[f64], q: &[f64]| p.iter().zip(q).map(|(x, y)| (x - y) * (x - y)).sum::<f64>();
+    [squared(b, c), squared(c, a), squared(a, b)]
+}
+
+/// Area of a triangle, by Lagrange's identity in any D.
+#[inline(always)]
+pub(crate) fn area(corners: [&[f64]; 3]) -> f64 {
+    let sum = twice_squared(corners, 1.0);
+    if (1e-200..1e200).contains(&sum) { 0.5 * sum.sqrt() } else { extreme_area(corners) }
+}
+
+/// The square of twice the area, all lengths times `scale`.
+#[inline(always)]
+fn twice_squared([a, b, c]: [&[f64]; 3], scale: f64) -> f64 {
+    let step = |p: &[f64], axis: usize| scale * (p[axis] - a[axis]);
+    let mut sum = 0.0;
+    for i in 0..a.len() {
+        for j in 0..i {
+            let minor = step(b, i) * step(c, j) - step(b, j) * step(c, i);
+            sum += minor * minor;
+        }
+    }
+    sum
+}
+
+/// The area where fourth powers of the edges may have over- or underflowed.
+#[cold]
+fn extreme_area([a, b, c]: [&[f64]; 3]) -> f64 {
+    let largest = (0..a.len()).map(|axis| (b[axis] - a[axis]).abs().max((c[axis] - a[axis]).abs())).fold(0.0, f64::max);
+    if !(largest > 0.0 && largest < f64::INFINITY) {
+        return largest;
+    }
+    let scale = 2f64.powi(-largest.log2().round().clamp(-1000.0, 1000.0) as i32);
+    0.5 * twice_squared([a, b, c], scale).sqrt() / scale / scale
 }

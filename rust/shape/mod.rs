@@ -4,7 +4,7 @@ mod glue;
 mod implicit;
 pub(crate) mod intrinsic;
 pub mod make;
-mod mesh;
+pub(crate) mod mesh;
 mod topology;
 
 pub use intrinsic::{IntrinsicTriangulation, intrinsic_delaunay, thinnest_face, tufted};

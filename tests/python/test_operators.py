@@ -190,3 +190,52 @@ def test_what_is_kept_is_read_only(kind):
     copy = ops.stiffness.copy()
     copy.data *= 2.0
     assert np.array_equal(copy.data, 2.0 * ops.stiffness.data)
+
+
+def assembled(mesh: bt.TriangleMesh) -> tuple[np.ndarray, np.ndarray, float]:
+    """Stiffness, mass and mean edge length face after face, as a definition has them."""
+    n = len(mesh.vertices)
+    stiffness, mass, edges = np.zeros((n, n)), np.zeros(n), set()
+    for face in mesh.faces:
+        for k in range(3):
+            i, j, opposite = face[k], face[(k + 1) % 3], face[(k + 2) % 3]
+            p, q = mesh.vertices[i] - mesh.vertices[opposite], mesh.vertices[j] - mesh.vertices[opposite]
+            double_area = np.sqrt((p @ p) * (q @ q) - (p @ q) ** 2)
+            for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+                stiffness[a, b] += sign * (p @ q) / double_area / 2
+            mass[opposite] += double_area / 6
+            edges.add((min(i, j), max(i, j)))
+    return stiffness, mass, float(np.mean([np.linalg.norm(mesh.vertices[i] - mesh.vertices[j]) for i, j in edges]))
+
+
+@pytest.mark.parametrize(
+    "kind", ["closed", "boundary", "flipped", "renumbered", "two fans at a vertex", "three faces at an edge", "a face twice", "many faces"]
+)
+def test_any_faces_around_a_vertex(kind: str):
+    """Rows are written where a closed fan of faces would have them; whatever else surrounds a vertex must come out as right."""
+    rng = np.random.default_rng(3)
+    mesh = bt.shapes.sphere(3) if kind in ("closed", "renumbered", "flipped") else bumpy(1)
+    vertices, faces = mesh.vertices.copy(), mesh.faces.copy()
+    if kind == "flipped":
+        turned = rng.random(len(faces)) < 0.3
+        faces[turned] = faces[turned][:, ::-1]
+    elif kind == "renumbered":
+        order = rng.permutation(len(vertices))
+        vertices, faces = vertices[order], np.argsort(order)[faces][rng.permutation(len(faces))]
+    elif kind == "two fans at a vertex":
+        faces = np.delete(faces, np.flatnonzero((faces == 30).any(axis=1))[[0, 3]], axis=0)
+    elif kind in ("three faces at an edge", "a face twice"):
+        third = faces[10, 2] if kind == "a face twice" else (set(range(len(vertices))) - set(faces[10])).pop()
+        faces = np.vstack([faces, [faces[10, 0], faces[10, 1], third]])
+    elif kind == "many faces":
+        angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+        vertices = np.vstack([[0, 0, 1.0], np.c_[np.cos(angles), np.sin(angles), 0 * angles]])
+        faces = np.c_[np.zeros(40, int), 1 + np.arange(40), 1 + (np.arange(40) + 1) % 40]
+    mesh = bt.TriangleMesh(vertices, faces)
+    ops = bt.operators(mesh, laplacian="cotangent")
+    stiffness, mass, spacing = assembled(mesh)
+    assert abs(ops.stiffness.toarray() - stiffness).max() < 1e-12 * abs(stiffness).max()
+    assert abs(ops.stiffness - ops.stiffness.T).max() == 0
+    assert (np.diff(ops.stiffness.indices)[np.setdiff1d(np.arange(ops.stiffness.nnz - 1), ops.stiffness.indptr[1:-1] - 1)] > 0).all()
+    assert np.allclose(ops.mass, mass, rtol=1e-13, atol=0)
+    assert ops.spacing == pytest.approx(spacing, rel=1e-13)

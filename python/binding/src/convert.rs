@@ -66,7 +66,7 @@ pub fn matrix_out<'py>(py: Python<'py>, matrix: Csr) -> CsrParts<'py> {
     let narrow = matrix.values().len() < i32::MAX as usize;
     let (starts, indices, values) = matrix.into_parts();
     let (indices, starts) = if narrow {
-        let indices: Vec<i32> = indices.into_iter().map(|index| index as i32).collect();
+        let indices: Vec<i32> = bytemuck::cast_vec(indices);
         let starts: Vec<i32> = starts.into_iter().map(|start| start as i32).collect();
         (indices.into_pyarray(py).into_any(), starts.into_pyarray(py).into_any())
     } else {
