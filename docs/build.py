@@ -20,10 +20,10 @@ import markdown
 
 HERE = Path(__file__).resolve().parent
 ORDER = (
-    ("Start", ("index", "installation", "files", "shapes", "point_clouds", "command_line", "pictures")),
+    ("Start", ("index", "installation", "coming_from", "files", "shapes", "point_clouds", "command_line", "pictures", "rust")),
     ("Foundation", ("operators", "solvers", "eigenpairs", "geodesics", "neighbours")),
     ("Methods", ()),  # every page that is named nowhere
-    ("Project", ("conventions", "contributing")),
+    ("Project", ("conventions", "benchmarks", "contributing")),
 )
 # Modules a user meets beside the names of `beltrami` itself.
 MODULES = ("shapes", "examples", "colors", "contours", "clouds", "intrinsic", "sliced", "conformal", "costs", "gallery")

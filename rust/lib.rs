@@ -11,7 +11,7 @@
 //! | [`solvers`] | sparse Cholesky and eigenpairs; they know matrices, never meshes |
 //! | [`geodesic`] | distance by the heat method |
 //! | [`sphere`] | inner loops of conformal maps to the sphere |
-//! | [`shrink`], [`levelset`] | total variation on simplices; contours of functions on meshes |
+//! | [`sliced`] | sliced Wasserstein distances, also over rotations |
 //! | [`register`] | inner loops of near-isometric registration |
 //! | [`shrink`], [`levelset`], [`reeb`] | total variation on simplices; contours of functions on meshes; Reeb graphs |
 //! | [`transport`] | space-time projection, perspective steps and bounds of dynamic optimal transport |

@@ -6,6 +6,7 @@ import importlib.util
 import inspect
 import pkgutil
 import re
+import shlex
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -35,18 +36,41 @@ def test_code_of_pages_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Monk
         bt.set_num_threads(threads)
 
 
+def test_commands_of_pages_are_understood() -> None:
+    """Each line of a shell that calls beltrami has a command and options that there are."""
+    from beltrami.__main__ import parser
+
+    lines = [line for page in PAGES for _, code in blocks(page.read_text(encoding="utf-8"), "sh") for line in code.splitlines()]
+    lines += [line for page in PAGES for line in re.findall(r"`(beltrami [a-z-]+ [^`]+)`", page.read_text(encoding="utf-8"))]
+    calls = [line for line in lines if line.startswith("beltrami ") and "COMMAND" not in line]
+    assert len(calls) > 20
+    for line in calls:
+        parser().parse_args(shlex.split(line, comments=True)[1:])  # it leaves with 2 where an option is unknown
+
+
+def test_pages_of_methods_follow_one_pattern() -> None:
+    """A picture or a table, a runnable example, what it costs or where it ends, and where to go on."""
+    groups = {"README", "index", "installation", "command_line", "conventions", "contributing", "benchmarks", "rust", "coming_from"}
+    for page in (page for page in PAGES if page.stem not in groups):
+        text = page.read_text(encoding="utf-8")
+        assert blocks(text, "python"), page.stem
+        assert re.search(r"^(#+ |\*\*)(Limits|Cost and limits|What is refused)", text, re.M), f"{page.stem} does not say where it ends"
+        assert "\nSee also: [" in text, f"{page.stem} leads nowhere"
+
+
 def test_blocks_are_found_and_fail() -> None:
     assert blocks("a\n```python\n1 / 0\n```\nb\n```sh\nls\n```\n", "python") == [(3, "1 / 0\n")]
     assert len(blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")) >= 1
 
 
 def test_rust_of_the_readme_is_the_example() -> None:
-    """`cargo test` builds the example, so that the page cannot go stale."""
-    [(_, code)] = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "rust")
+    """`cargo test` builds the example, so that no page can go stale."""
     example = (ROOT / "examples" / "first_steps.rs").read_text(encoding="utf-8")
     body = "\n".join(line.removeprefix("    ") for line in example.splitlines())
-    for line in code.strip().splitlines():
-        assert line.strip() in body, f"{line!r} of README.md is not in examples/first_steps.rs"
+    for page in (ROOT / "README.md", ROOT / "docs" / "rust.md"):
+        [(_, code)] = blocks(page.read_text(encoding="utf-8"), "rust")
+        for line in code.strip().splitlines():
+            assert line.strip() in body, f"{line!r} of {page.name} is not in examples/first_steps.rs"
 
 
 @pytest.mark.parametrize("module", MODULES)
