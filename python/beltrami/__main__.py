@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ import beltrami as bt
 from . import arrays
 from .clouds import CloudOperators
 from .errors import ConvergenceError, Error, FileError, InputError
+from .files import written
 from .progress import Bar
 
 Options = argparse.Namespace
@@ -37,6 +39,10 @@ class Command:
 
 
 COMMANDS: dict[str, Command] = {}
+ORDER = (
+    "info", "convert", "eigen", "geodesic", "segment", "denoise", "transport", "game", "sphere", "skeleton", "register",
+    "register-conformal", "distances", "committor", "plot", "gallery", "doctor",
+)  # fmt: skip
 
 
 def command(
@@ -82,7 +88,7 @@ def shape_of(options: Options, file: str | None = None) -> Any:
         if name[8:] not in known:
             raise InputError(f"{name}: the examples are {', '.join(known)}")
         return known[name[8:]]()
-    return bt.load(name, progress=Bar("loading"))
+    return bt.load(name, dimension=getattr(options, "dimension", 2), progress=Bar("loading"))
 
 
 def positions(shape: Any) -> npt.NDArray[np.float64]:
@@ -123,10 +129,14 @@ def check_outputs(options: Options) -> None:
 
 
 def _to_file(path: Path, fill: Callable[[Any], object]) -> None:
+    _folder(path)
+    written(path, fill)
+
+
+def _folder(path: Path) -> None:
+    """Makes the folder that a file is to lie in."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as stream:
-            fill(stream)
     except OSError as error:
         raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
 
@@ -149,19 +159,24 @@ def _csv(values: Mapping[str, npt.NDArray[Any]], count: int) -> str:
     return "\n".join(lines) + "\n"
 
 
+FILES = "a surface or a cloud (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex"
+
+
 def _input(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", help="a surface or a cloud (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex")
+    parser.add_argument("file", help=FILES)
 
 
 def _output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", action="append", metavar="OUT", help=".npz, .csv, .ply, .png or .html; may be given several times")
 
 
-def _look(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--view", action="append", help="front, back, left, right, top, bottom, three-quarter ...; several side by side")
+def _look(parser: argparse.ArgumentParser, view: str = "three-quarter") -> None:
+    names = "front, back, left, right, top, bottom, three-quarter ..."
+    parser.add_argument("--view", action="append", help=f"{names}; may be given several times, side by side ({view})")
+    parser.set_defaults(views=[view])
     parser.add_argument("--up", choices="xyz", default="y", help="the axis that points upwards (y)")
     parser.add_argument("--title")
-    parser.add_argument("--size", default="1600x1000", help="of the picture in pixels (1600x1000)")
+    parser.add_argument("--size", metavar="WxH", default="1600x1000", help="of the picture in pixels (1600x1000)")
 
 
 def _looks(options: Options) -> dict[str, Any]:
@@ -169,14 +184,14 @@ def _looks(options: Options) -> dict[str, Any]:
         width, height = (int(side) for side in options.size.lower().split("x"))
     except ValueError:
         raise InputError(f"--size {options.size}: write it like 1600x1000") from None
-    return {"views": options.view, "up": options.up, "title": options.title, "size": (width, height)}
+    return {"views": options.view or options.views, "up": options.up, "title": options.title, "size": (width, height)}
 
 
 # --- the commands ------------------------------------------------------------------------------------------------------------------
 
 
 def _info_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", nargs="+", metavar="FILE")
+    parser.add_argument("files", nargs="+", metavar="file", help=FILES)
 
 
 @command("info", "what a shape is: counts, topology, size, data", _info_options)
@@ -208,23 +223,29 @@ def info(options: Options) -> int:
 
 def _convert_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
-    parser.add_argument("out", help="PLY, OBJ, OFF, STL, XYZ")
+    parser.add_argument("target", nargs="?", metavar="OUT", help=".ply, .obj, .off, .stl, .xyz, .pts or .csv")
+    parser.add_argument("-o", "--out", metavar="OUT", help="the same, as with the other commands")
     parser.add_argument("--weld", action="store_true", help="vertices at equal positions become one")
     parser.add_argument("--ascii", action="store_true", help="a text file where the format has both")
 
 
 @command("convert", "a shape into another format", _convert_options)
 def convert(options: Options) -> int:
+    if (options.target is None) == (options.out is None):
+        raise InputError("name one file to write: beltrami convert FILE OUT")
+    out = options.target or options.out
     shape = shape_of(options)
     if options.weld:
         shape = bt.load(shape, weld=True)
-    bt.save(shape, options.out, ascii=options.ascii, progress=Bar("writing"))
-    print(f"{shape}\nwrote {options.out}")
+    _folder(Path(out))
+    bt.save(shape, out, ascii=options.ascii, progress=Bar("writing"))
+    print(f"{shape}\nwrote {out}")
     return DONE
 
 
 def _cloud_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--deduplicate", action="store_true", help="clouds: keep the first of points that coincide")
+    parser.add_argument("--dimension", metavar="D", type=int, default=2, help="clouds: intrinsic dimension of what was sampled (2)")
 
 
 def _distinct(options: Options) -> Any:
@@ -434,8 +455,9 @@ def sphere(options: Options) -> int:
 
 
 def _register_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", help="a shape (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex")
+    parser.add_argument("source", help=FILES)
     parser.add_argument("file", metavar="target", help="the shape to which it is matched")
+    _look(parser, "front")
     _output(parser)
     parser.add_argument("--method", choices=("auto", "rswd"), default="auto", help="rswd: sliced Wasserstein of the eigenmaps alone")
     parser.add_argument("--landmarks", metavar="FILE", help="pairs of vertex numbers, source and target: lines of .csv or .txt, or .npy")
@@ -447,6 +469,7 @@ def _register_options(parser: argparse.ArgumentParser) -> None:
 @command("register", "the point map between two shapes that differ by a bending", _register_options)
 def register(options: Options) -> int:
     check_outputs(options)
+    look = _looks(options)
     target = _distinct(options)
     source = _distinct(argparse.Namespace(**{**vars(options), "file": options.source}))
     found = bt.register(
@@ -478,7 +501,10 @@ def register(options: Options) -> int:
     for name in options.out or []:
         if Path(name).suffix.lower() == ".ply":
             write(argparse.Namespace(out=[name]), source, on_source, {})
+        elif Path(name).suffix.lower() in (".png", ".html"):
+            print(f"wrote {found.plot(path=name, **look).path}")
         else:
+            _folder(Path(name))
             print(f"wrote {found.save(name)}")
     return DONE
 
@@ -502,8 +528,10 @@ def distances(options: Options) -> int:
     workers = arrays.whole(options.processes, "--processes", 0)
     executor = concurrent.futures.ProcessPoolExecutor(workers) if workers else None
     try:
+        shapes = [shape_of(options, file) if file.startswith("example:") else file for file in options.files]
+        labels = [Path(file.removeprefix("example:")).stem for file in options.files]
         found = bt.distance_matrix(
-            options.files, method=options.method, executor=executor, checkpoint=options.checkpoint, progress=Bar("distances")
+            shapes, labels=labels, method=options.method, executor=executor, checkpoint=options.checkpoint, progress=Bar("distances")
         )
     finally:
         if executor is not None:
@@ -517,20 +545,17 @@ def distances(options: Options) -> int:
     for index, wrong in found.failures.items():
         print(f"failed: {found.labels[index]}: {wrong}")
     for name in options.out or []:
-        path = Path(name)
-        suffix = path.suffix.lower()
-        if suffix == ".npz":
-            np.savez_compressed(path, distances=found.matrix, labels=np.array(found.labels))
-        elif suffix == ".csv":
-            np.savetxt(path, found.matrix, fmt="%.10g", delimiter=",", header=",".join(found.labels), comments="")
+        _folder(Path(name))
+        if name.lower().endswith(".png"):
+            found.plot(options.picture, path=name)
         else:
-            found.plot(options.picture, path=path)
-        print(f"wrote {path}")
+            found.save(name)
+        print(f"wrote {name}")
     return NOT_CONVERGED if found.failures else DONE
 
 
 def _register_conformal_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", help="a surface (OBJ, PLY, STL, OFF, XYZ, ...), or example:spot, example:bob, example:cortex")
+    parser.add_argument("source", help=FILES)
     parser.add_argument("file", metavar="target", help="the surface to which it is matched")
     _look(parser)
     _output(parser)
@@ -618,6 +643,7 @@ def _flow_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerance", type=float, default=1e-3, help="relative gap to stop at (1e-3)")
     parser.add_argument("--max-iterations", type=int, default=300)
     parser.add_argument("--times", type=int, default=6, help="how many times in a picture (6); .html has at least 25")
+    _cloud_options(parser)
 
 
 def _density(name: str, shape: Any) -> npt.NDArray[np.float64]:
@@ -674,7 +700,7 @@ def transport(options: Options) -> int:
     _looks(options)
     if options.end is None:
         raise InputError("--to is missing; name the density at time 1 (a game can do without)")
-    shape = shape_of(options)
+    shape = _distinct(options)
     ops = bt.operators(shape, laplacian="cotangent") if isinstance(shape, bt.TriangleMesh) else _operators(shape)
     ends = [_unit_mass(_density(name, shape), ops) for name in (options.start, options.end)]
     r = bt.transport(
@@ -714,7 +740,7 @@ def game(options: Options) -> int:
     _looks(options)
     if options.end is not None and options.target is not None:
         raise InputError("--to and --target are both given; the end is either fixed or free, so leave one out")
-    shape = shape_of(options)
+    shape = _distinct(options)
     ops = bt.operators(shape, laplacian="cotangent") if isinstance(shape, bt.TriangleMesh) else _operators(shape)
     start = _unit_mass(_density(options.start, shape), ops)
     running: list[bt.costs.Cost] = []
@@ -815,6 +841,7 @@ def skeleton(options: Options) -> int:
         if Path(name).suffix.lower() in (".png", ".html"):
             r.plot(path=name, **look)
         else:
+            _folder(Path(name))
             r.save(name)
         print(f"wrote {name}")
     return DONE
@@ -828,7 +855,6 @@ def _committor_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--potential", default="potential", help="the array, column or field with the potential (potential)")
     parser.add_argument("--A", default="A", help="array, column or field that is not 0 in A; or ball:x,y,...,radius (A)")
     parser.add_argument("--B", default="B", help="the same for B (B)")
-    parser.add_argument("--dimension", type=int, default=2, help="intrinsic dimension of the points (2)")
     parser.add_argument(
         "--sampling", choices=("any", "gibbs", "weighted"), default="any", help="what is known of U: its values, or samples"
     )
@@ -1071,17 +1097,29 @@ def _diagonal(values: npt.NDArray[np.float64]) -> Any:
 # --- the door ----------------------------------------------------------------------------------------------------------------------
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message}; {self.prog} --help lists what there is\n")
+
+
+def _warning(message: Warning | str, *where: Any, **more: Any) -> None:
+    print(f"note: {message}", file=sys.stderr)
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser with all commands."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="beltrami", description="Intrinsic computing on triangle meshes and point clouds.",
         epilog="Exit codes: 0 done, 1 not converged (the answer is still written), 2 bad input.",
     )  # fmt: skip
     top.add_argument("--version", action="version", version=f"beltrami {bt.__version__}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, entry in COMMANDS.items():
+    for name in sorted(COMMANDS, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER)):
+        entry = COMMANDS[name]
         one = commands.add_parser(name, help=entry.summary, description=entry.summary[:1].upper() + entry.summary[1:] + ".")
-        one.add_argument("--threads", type=int, help="how many threads to use")
+        one.add_argument("--threads", metavar="K", type=int, help="how many threads to use")
         entry.declare(one)
     return top
 
@@ -1095,7 +1133,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.threads is not None:
             bt.set_num_threads(arrays.whole(options.threads, "--threads", 1, 4096))
-        return COMMANDS[options.command].run(options)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warning
+            return COMMANDS[options.command].run(options)
     except ConvergenceError as error:
         print(f"beltrami {options.command}: not converged: {error}", file=sys.stderr)
         return NOT_CONVERGED

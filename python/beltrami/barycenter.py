@@ -16,9 +16,10 @@ from .arrays import Floats
 from .continuity import COARSE, Model, Problem, Scales, Splitting, Surface, coarser, looks, travel
 from .costs import Lagrangian
 from .errors import InputError
+from .files import written
 from .operators import Operators
 from .progress import Progress
-from .segment import _Watch, _write
+from .segment import _Watch
 from .shapes import Shape
 from .transport import DENSITY_COLOURS, balanced, density_in, options_in
 from .view import Page, Picture
@@ -81,7 +82,7 @@ class BarycenterResult:
             self.plot(path=path)
         elif path.suffix.lower() == ".npz":
             kept: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | float | int)}
-            _write(path, lambda stream: np.savez_compressed(stream, **kept))
+            written(path, lambda stream: np.savez_compressed(stream, **kept))
         else:
             raise InputError(f"{path}: a barycenter is written to .npz, .png or .html")
         return path

@@ -23,6 +23,7 @@ from .arrays import Floats
 from .conformal import SphericalMapResult, spherical_map
 from .eigen import Eigenpairs, eigenpairs
 from .errors import Cancelled, ConvergenceError, InputError, NumericalError, TopologyError
+from .files import written
 from .limbs import Indices, Sphered, Surface, nearest_rows
 from .operators import Operators, operators
 from .progress import Progress, reporter
@@ -580,10 +581,11 @@ class ConformalRegistrationResult:
         elif suffix == ".npz":
             names = ("point_map", "inverse_map", "log_factor", "source_basis", "basis", "values", "landmarks", "confidence")
             fields: dict[str, Any] = {name: getattr(self, name) for name in names}
-            np.savez_compressed(path, **{**fields, **self.history})
+            written(path, lambda stream: np.savez_compressed(stream, **{**fields, **self.history}))
         elif suffix == ".csv":
             rows = np.column_stack([np.arange(len(self.point_map)), self.point_map, self.confidence])
-            np.savetxt(path, rows, fmt=["%d", "%d", "%.6g"], delimiter=",", header="source,target,confidence", comments="")
+            table = {"fmt": ["%d", "%d", "%.6g"], "delimiter": ",", "header": "source,target,confidence", "comments": ""}
+            written(path, lambda stream: np.savetxt(stream, rows, **table))  # type: ignore[arg-type]
         else:
             raise InputError(f"{path}: a registration is written to .npz, .csv, .png or .html")
         return path

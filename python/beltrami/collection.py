@@ -21,7 +21,7 @@ import numpy.typing as npt
 from . import arrays
 from .arrays import Floats
 from .errors import Cancelled, DependencyError, InputError
-from .files import load
+from .files import load, written
 from .progress import Progress, reporter
 from .register import Eigenmap, align_eigenmaps, eigenmap, prepare, settle
 from .shapes import PointCloud, Shape, TriangleMesh, no_shape
@@ -137,6 +137,28 @@ class DistanceMatrix:
         places[good, :count] = vectors * np.sign(largest) * np.sqrt(np.maximum(values, 0.0))
         return places
 
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes matrix and labels to ``.npz`` or ``.csv``, the map to ``.png``.
+
+        Raises
+        ------
+        InputError
+            The suffix is none of these.
+        FileError
+            The file cannot be written.
+        """
+        file = arrays.file(path, "path")
+        suffix = file.suffix.lower()
+        if suffix == ".png":
+            self.plot(path=file)
+            return file
+        if suffix == ".npz":
+            return written(file, lambda stream: np.savez_compressed(stream, distances=self.matrix, labels=np.array(self.labels)))
+        if suffix == ".csv":
+            table = {"fmt": "%.10g", "delimiter": ",", "header": ",".join(self.labels), "comments": "", "encoding": "utf-8"}
+            return written(file, lambda stream: np.savetxt(stream, self.matrix, **table))
+        raise InputError(f"{file}: distances are written to .npz, .csv or .png")
+
     def plot(
         self,
         kind: Literal["map", "matrix", "dendrogram", "nearest"] = "map",
@@ -206,7 +228,8 @@ class DistanceMatrix:
             axes.set_xticks([])
             axes.set_yticks([])
         if path is not None:
-            figure.savefig(path, dpi=150)
+            file = arrays.file(path, "path")
+            written(file, lambda stream: figure.savefig(stream, dpi=150, format=file.suffix[1:] or "png"))
         return figure
 
 

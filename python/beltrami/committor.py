@@ -17,7 +17,8 @@ import scipy
 from . import arrays, weighted
 from .arrays import Floats
 from .clouds import CloudOperators, LeastSquaresOperators
-from .errors import Cancelled, Error, FileError, InputError, NumericalError, TopologyError
+from .errors import Cancelled, Error, InputError, NumericalError, TopologyError
+from .files import written
 from .near import nearest_neighbors
 from .operators import Operators, operators
 from .progress import Progress, part, reporter
@@ -779,17 +780,11 @@ class CommittorResult:
         if suffix not in (".npz", ".csv"):
             raise InputError(f"{file}: a committor is written to .npz, .csv, .png or .html")
         table = self.table()
-        try:
-            if suffix == ".npz":
-                with file.open("wb") as stream:
-                    np.savez_compressed(stream, **table, **self.scalars())  # type: ignore[arg-type]
-            else:
-                rows = np.column_stack([np.asarray(column, float) for column in table.values()])
-                names = [f"{name}_{k}" if array.ndim == 2 else name for name, array in table.items() for k in range(array[0].size)]
-                np.savetxt(file, rows, delimiter=",", header=",".join(names), comments="", fmt="%.17g")
-        except OSError as error:
-            raise FileError(f"{file} cannot be written: {error.strerror or error}") from None
-        return file
+        if suffix == ".npz":
+            return written(file, lambda stream: np.savez_compressed(stream, **table, **self.scalars()))  # type: ignore[arg-type]
+        rows = np.column_stack([np.asarray(column, float) for column in table.values()])
+        names = [f"{name}_{k}" if array.ndim == 2 else name for name, array in table.items() for k in range(array[0].size)]
+        return written(file, lambda stream: np.savetxt(stream, rows, delimiter=",", header=",".join(names), comments="", fmt="%.17g"))
 
     def table(self) -> dict[str, npt.NDArray[Any]]:
         """The arrays with a row a point."""

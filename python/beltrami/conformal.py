@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +22,7 @@ import scipy
 from . import _core, arrays, spherical
 from .arrays import Floats, Ints
 from .errors import Cancelled, InputError, NumericalError, TopologyError
+from .files import save_fields
 from .moebius import Moebius
 from .operators import Operators, operators
 from .progress import Progress, reporter
@@ -269,6 +271,26 @@ class SphericalMapResult:
         given = np.asarray(self._source if values is None else values)
         given = arrays.floats(given, "values", (len(self.positions), *([None] * (given.ndim - 1))))
         return spherical.fit_harmonics(self.positions, self.image_areas, given.reshape(len(given), -1), degree)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``, the shape with positions on the sphere and factor to ``.ply``, a picture to ``.png`` or ``.html``.
+
+        Raises
+        ------
+        InputError
+            The suffix is none of these.
+        FileError
+            The file cannot be written.
+        """
+        file = arrays.file(path, "path")
+        suffix = file.suffix.lower()
+        if suffix in (".png", ".html"):
+            self.plot(path=file)
+            return file
+        if suffix not in (".npz", ".ply"):
+            raise InputError(f"{file}: a map to the sphere is written to .npz, .ply, .png or .html")
+        names = ("positions", "conformal_factor", "faces", "angle_error", "dilatation", "energy", "area", "flipped")
+        return save_fields(self.shape, {name: getattr(self, name) for name in names}, file, values=names[:2])
 
     def plot(
         self,

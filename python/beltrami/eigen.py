@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import scipy
 from . import _core, arrays
 from .arrays import Floats
 from .errors import InputError
+from .files import save_fields, written
 from .operators import Operators, operators
 from .progress import Progress, reporter
 from .shapes import Shape
@@ -83,6 +85,30 @@ class Eigenpairs:
             raise InputError("modes is empty; name at least one")
         options = {"contours": [0.0], "color_bar": False, **options}
         return plot(self.shape, shown, path=path, **options)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes everything to ``.npz``, values and residuals to ``.csv``, the shape with the functions to ``.ply``, a picture to ``.png``
+        or ``.html``.
+
+        Raises
+        ------
+        InputError
+            The suffix is none of these; or it wants a shape, and the pairs belong to matrices.
+        FileError
+            The file cannot be written.
+        """
+        file = arrays.file(path, "path")
+        suffix = file.suffix.lower()
+        if suffix in (".png", ".html"):
+            self.plot(path=file)
+            return file
+        if suffix == ".csv":
+            rows, look = np.column_stack([self.values, self.residuals]), {"header": "value,residual", "comments": "", "delimiter": ","}
+            return written(file, lambda stream: np.savetxt(stream, rows, fmt="%.17g", **look))
+        if suffix not in (".npz", ".ply") or (suffix == ".ply" and self.shape is None):
+            raise InputError(f"{file}: eigenpairs are written to .npz or .csv, those of a shape to .ply, .png or .html too")
+        names = ("functions", "values", "residuals")
+        return save_fields(self.shape, {name: getattr(self, name) for name in names}, file, values=names[:1])
 
 
 def eigenpairs(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -146,6 +146,40 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
     lost += _core.save_file(name, vertices, faces, kept, format, bool(ascii), reporter(progress, "save"))
     if lost:
         warnings.warn(f"{name} has no place for data {', '.join(map(repr, lost))}; .ply keeps numbers of any type", stacklevel=2)
+
+
+def written(path: Path, fill: Callable[[Any], object]) -> Path:
+    """A file that ``fill`` writes to a stream of bytes; what the system says against it is a :class:`FileError`."""
+    try:
+        with path.open("wb") as stream:
+            fill(stream)
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+    return path
+
+
+def save_fields(shape: Any, fields: Mapping[str, Any], path: Path, *, values: Sequence[str] = ()) -> Path:
+    """Arrays and numbers to ``.npz``; the shape with those named ``values``, which have a row a vertex, to ``.ply``.
+
+    Raises
+    ------
+    InputError
+        The suffix is neither.
+    FileError
+        The file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return written(path, lambda stream: np.savez_compressed(stream, **fields))
+    data: dict[str, Any] = dict(shape.data)
+    for name in values:
+        columns = np.atleast_2d(fields[name].T)
+        data |= {name if len(columns) == 1 else f"{name}_{at}": np.ascontiguousarray(column) for at, column in enumerate(columns)}
+    if isinstance(shape, PointCloud):
+        save(PointCloud(shape.points, dimension=shape.dimension, normals=shape.normals, weights=shape.weights, data=data), path)
+    else:
+        save(TriangleMesh(shape.vertices, shape.faces, data=data), path)
+    return path
 
 
 def _check_format(format: Any) -> None:

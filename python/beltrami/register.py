@@ -23,6 +23,7 @@ from . import _core, arrays
 from .arrays import Floats, Ints
 from .eigen import eigenpairs
 from .errors import Cancelled, InputError
+from .files import written
 from .maps import coverage
 from .near import nearest_neighbors
 from .operators import Operators, operators
@@ -475,25 +476,23 @@ def _listed(maps: Floats, energies: Floats, scores: Floats, source: Side, target
     return [candidate for candidate in found if candidate.orientation >= 0] or found
 
 
-def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: int = 15) -> tuple[Ints, Ints, Floats]:
-    """The source deformed onto the target: nearest points in position, normal and curvature, both ways, and a rigid step, in turns.
-
-    Normals and curvature weigh much at first, when positions are still off, and little at the end.
-    """
+def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: int = 15, report: Any = None) -> tuple[Ints, Ints, Floats]:
+    """The source deformed onto the target: nearest points in position, normal and curvature, both ways, and a rigid step, in turns."""
     assert source.faces is not None
     assert target.normals is not None
-    positions, faces, others = start, source.faces, target.normals
+    positions = start
+    marks = _marks(source, 0.03)
+    rows = np.concatenate([target.positions, 0.05 * target.normals, _marks(target, 0.03)], 1)
 
-    def nearest(share: float) -> tuple[Ints, Ints]:
-        turned, curved = 0.2 + share * (0.03 - 0.2), 0.05 + share * (0.01 - 0.05)
-        moved = np.concatenate([positions, turned * vertex_normals(positions, faces), _marks(source, curved)], 1)
-        rows = np.concatenate([target.positions, turned * others, _marks(target, curved)], 1)
+    def nearest() -> tuple[Ints, Ints]:
+        assert source.faces is not None
+        moved = np.concatenate([positions, 0.05 * vertex_normals(positions, source.faces), marks], 1)
         return _core.nearest_neighbors(rows, moved, 1)[0][:, 0], _core.nearest_neighbors(moved, rows, 1)[0][:, 0]
 
     n = len(source.mass)
     own = np.maximum(source.mass, 1e-3 / n)
     for step, pull in enumerate(np.geomspace(100.0, 1000.0, steps)):
-        forward, backward = nearest(step / (steps - 1))
+        forward, backward = nearest()
         weight = own + _gathered(backward, target.mass, n)
         images = own[:, None] * target.positions[forward]
         for axis in range(3):
@@ -502,7 +501,9 @@ def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: 
         for _ in range(2):
             right, _energy = rigid.core.fit(positions, 0.8)
             positions = factor.solve(right + pull * images)
-    forward, backward = nearest(1.0)
+        if report is not None:
+            report((step + 1) / steps)
+    forward, backward = nearest()
     return forward, backward, positions
 
 
@@ -708,10 +709,10 @@ class RegistrationResult:
             fields: dict[str, Any] = {name: getattr(self, name) for name in names}
             if self.positions is not None:
                 fields["positions"] = self.positions
-            np.savez_compressed(path, **fields)
+            written(path, lambda stream: np.savez_compressed(stream, **fields))
         elif suffix == ".csv":
             rows = np.column_stack([np.arange(len(self.point_map)), self.point_map])
-            np.savetxt(path, rows, fmt="%d", delimiter=",", header="source,target", comments="")
+            written(path, lambda stream: np.savetxt(stream, rows, fmt="%d", delimiter=",", header="source,target", comments=""))
         else:
             raise InputError(f"{path}: a registration is written to .npz, .csv, .png or .html")
         return path
@@ -874,7 +875,7 @@ def match(
         told(0.7)
         positions = None
         if rigid is not None and polish:
-            forward, backward, positions = _polish(_low_passed(matrix, source, target), source, target, rigid)
+            forward, backward, positions = _polish(_low_passed(matrix, source, target), source, target, _Rigid(source))
             matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
         else:
             forward, backward = _point_maps(matrix, source, target, 0.6)

@@ -17,7 +17,8 @@ from . import _core, arrays
 from .arrays import Floats, Ints
 from .clouds import CloudOperators
 from .contours import cloud_contours
-from .errors import Cancelled, FileError, InputError
+from .errors import Cancelled, InputError
+from .files import written
 from .intrinsic import IntrinsicOperators
 from .operators import Operators, operators
 from .progress import Progress, reporter
@@ -282,7 +283,7 @@ class SegmentationResult:
             _save_shape(self.shape, {"label": self.labels, **members}, path)
         elif suffix == ".npz":
             starts = np.cumsum([0, *(len(line) for line in self.contours)])
-            _write(path, lambda stream: np.savez_compressed(stream, **_fields(self), contour_points=_stack(self), contour_starts=starts))
+            written(path, lambda stream: np.savez_compressed(stream, **_fields(self), contour_points=_stack(self), contour_starts=starts))
         else:
             raise InputError(f"{path}: a segmentation is written to .npz, .ply, .obj, .csv, .png or .html")
         return path
@@ -317,7 +318,7 @@ class SegmentationResult:
                 number += len(line)
         else:
             raise InputError(f"{path}: contours are written to .obj, .ply or .csv")
-        _write(path, lambda stream: stream.write(("\n".join(out) + "\n").encode()))
+        written(path, lambda stream: stream.write(("\n".join(out) + "\n").encode()))
         return path
 
 
@@ -329,14 +330,6 @@ def _stack(result: SegmentationResult) -> Floats:
 def _fields(result: Any) -> dict[str, Any]:
     kept = {name: value for name, value in vars(result).items() if name not in ("shape", "contours", "history")}
     return {**kept, **{f"history_{name}": values for name, values in result.history.items()}}
-
-
-def _write(path: Path, fill: Any) -> None:
-    try:
-        with path.open("wb") as stream:
-            fill(stream)
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
 def _save_shape(shape: Shape, data: dict[str, Any], path: Path) -> None:
@@ -840,7 +833,7 @@ class DenoisingResult:
             names = ["image"] if self.image.ndim == 1 else [f"image_{k}" for k in range(flat.shape[1])]
             _save_shape(self.shape, {name: np.ascontiguousarray(channel) for name, channel in zip(names, flat.T, strict=True)}, path)
         elif suffix == ".npz":
-            _write(path, lambda stream: np.savez_compressed(stream, **_fields(self)))
+            written(path, lambda stream: np.savez_compressed(stream, **_fields(self)))
         else:
             raise InputError(f"{path}: a denoised image is written to .npz, .ply, .png or .html")
         return path

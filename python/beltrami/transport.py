@@ -17,9 +17,10 @@ from .arrays import Floats
 from .continuity import MEMORY, Certificate, Problem, Surface
 from .costs import Lagrangian
 from .errors import InputError
+from .files import written
 from .operators import Operators
 from .progress import Progress
-from .segment import _Watch, _write
+from .segment import _Watch
 from .shapes import PointCloud, Shape
 from .view import Page, Picture
 
@@ -246,7 +247,7 @@ class Flow:
 
             _save_shape(self.shape, {f"density_{k}": np.ascontiguousarray(row) for k, row in enumerate(self.density)}, path)
         elif suffix == ".npz":
-            _write(path, lambda stream: np.savez_compressed(stream, **self._fields()))
+            written(path, lambda stream: np.savez_compressed(stream, **self._fields()))
         else:
             raise InputError(f"{path}: a flow is written to .npz, .ply, .png or .html")
         return path

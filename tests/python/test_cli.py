@@ -136,9 +136,44 @@ def test_bad_input_ends_with_2_and_one_line(arguments, words, capsys, tmp_path, 
 
 
 @pytest.mark.parametrize("arguments", [[], ["no-such-command"], ["info"], ["info", "a", "--no-such-option"]])
-def test_misuse_ends_with_2(arguments, capsys):
+def test_misuse_ends_with_2_and_one_line(arguments, capsys):
     assert main(arguments) == 2
-    assert "usage: beltrami" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.startswith("beltrami")
+    assert "--help" in said
+    assert said.count("\n") == 1
+
+
+def test_convert_takes_its_file_either_way(tmp_path, capsys):
+    first, second = tmp_path / "first.stl", tmp_path / "second.off"
+    assert main(["convert", "example:spot", str(first)]) == 0
+    said = capsys.readouterr()
+    assert "note: " in said.err  # STL has no place for colours: a line of its own, without a place in the source
+    assert ".py" not in said.err
+    assert main(["convert", str(first), "-o", str(second)]) == 0
+    assert len(bt.load(second).faces) == len(bt.examples.spot().faces)
+    for wrong in ([], [str(second), "-o", str(second)]):
+        assert main(["convert", str(first), *wrong]) == 2
+        assert "name one file" in capsys.readouterr().err
+
+
+def test_distances_know_the_examples_and_say_where_nothing_can_be_written(tmp_path, capsys):
+    out = tmp_path / "folder" / "distances.csv"
+    assert main(["distances", "example:spot", "example:bob", "--method", "shape_dna", "-o", str(out)]) == 0
+    assert out.read_text().splitlines()[0] == "spot,bob"
+    out = tmp_path / "folder" / "distances.csv" / "below_a_file.npz"
+    assert main(["distances", "example:spot", "example:bob", "--method", "shape_dna", "-o", str(out)]) == 2
+    assert capsys.readouterr().err.count("cannot be written") == 1
+
+
+def test_clouds_of_other_dimensions(tmp_path, capsys):
+    angles = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    circle = tmp_path / "circle.csv"
+    np.savetxt(circle, np.column_stack([np.cos(angles), np.sin(angles)]), delimiter=",", header="x,y", comments="")
+    assert main(["eigen", str(circle), "--dimension", "1", "-k", "5"]) == 0
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()]
+    values = [float(words[1]) for words in printed if len(words) == 3 and words[0].isdigit()]
+    assert np.allclose(values, [0, 1, 1, 4, 4], atol=0.01)
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))

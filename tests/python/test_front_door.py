@@ -1,6 +1,8 @@
 """What a user meets: names, signatures, docstrings, errors and results follow one pattern over the whole library."""
 
+import dataclasses
 import inspect
+import pickle
 import re
 from typing import Any
 
@@ -135,3 +137,63 @@ def test_what_is_no_shape_is_named_with_a_remedy(tmp_path: Any) -> None:
     with pytest.raises(bt.InputError, match="mesh is a PointCloud; a TriangleMesh is needed"):
         bt.closest_points(bt.PointCloud(SPHERE.vertices), SPHERE.vertices)  # type: ignore[arg-type]
     assert isinstance(bt.load(ball.vertices), bt.PointCloud)  # an array of trimesh's own kind
+
+
+def results() -> dict[str, Any]:
+    """One of each result, as small as can be."""
+    made = {name: getattr(bt, name)(*arguments, **options) for name, (arguments, options) in CALLS.items() if name in WITH_RESULTS}
+    return {type(result).__name__: result for result in made.values()}
+
+
+WITH_RESULTS = {
+    "closest_points", "committor", "denoise", "distance_matrix", "eigenpairs", "evaluate_map", "intersect_rays", "match_spectrum",
+    "mean_field_game", "register", "register_conformal", "rotation_invariant_sliced_wasserstein", "segment", "skeleton", "spherical_map",
+    "transport", "wasserstein_barycenter",
+}  # fmt: skip
+SMALL = {"ClosestPointsResult", "MapEvaluation", "RayHitsResult", "RotationInvariantSlicedWassersteinResult", "SpectrumMatch"}
+
+
+def test_results_follow_one_pattern(tmp_path: Any) -> None:
+    """Frozen, told in a line, pickled; those of methods are painted and saved, and say so in words when they cannot be."""
+    for name, result in results().items():
+        assert dataclasses.is_dataclass(result), name
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(result, dataclasses.fields(result)[0].name, None)
+        assert len(repr(result)) < 200, repr(result)
+        assert "array(" not in repr(result)
+        assert type(pickle.loads(pickle.dumps(result))) is type(result)
+        described = " ".join(inspect.getdoc(base) or "" for base in type(result).__mro__ if base.__module__.startswith("beltrami"))
+        for field in dataclasses.fields(result):
+            assert field.name.startswith("_") or re.search(rf"\b{field.name}\b", described), f"{name}.{field.name} is not described"
+        history = getattr(result, "history", {})
+        assert isinstance(history, dict | np.ndarray), name
+        if name in SMALL:
+            continue
+        file = tmp_path / f"{name}.npz"
+        assert result.save(file) == file
+        with np.load(file) as kept:
+            assert len(kept.files) >= 2
+        if name != "DistanceMatrix":
+            picture = tmp_path / f"{name}.png"
+            assert result.plot(path=picture, size=(64, 48)).path == picture
+        with pytest.raises(bt.InputError, match=r"what\.xyz"):
+            result.save(tmp_path / "what.xyz")
+        with pytest.raises(bt.FileError, match="cannot be written"):
+            result.save(tmp_path / "no" / "such" / "folder.npz")
+
+
+def test_saved_maps_and_modes_come_back(tmp_path: Any) -> None:
+    modes = bt.eigenpairs(SPHERE, 4)
+    for name in ("modes.ply", "modes.npz", "modes.csv"):
+        modes.save(tmp_path / name)
+    assert (bt.load(tmp_path / "modes.ply").data["functions_3"] == modes.functions[:, 3]).all()
+    assert (np.load(tmp_path / "modes.npz")["functions"] == modes.functions).all()
+    assert (np.loadtxt(tmp_path / "modes.csv", delimiter=",", skiprows=1)[:, 0] == modes.values).all()
+    with pytest.raises(bt.InputError, match="eigenpairs are written"):
+        bt.eigenpairs(bt.operators(SPHERE).stiffness, 2).save(tmp_path / "matrix.ply")
+    ball = bt.spherical_map(SPHERE)
+    ball.save(tmp_path / "ball.ply")
+    assert (bt.load(tmp_path / "ball.ply").data["positions_1"] == ball.positions[:, 1]).all()
+    distances = bt.distance_matrix([SPHERE, TORUS], method="shape_dna", labels=["sphere", "torus"])
+    distances.save(tmp_path / "distances.csv")
+    assert (tmp_path / "distances.csv").read_text().splitlines()[0] == "sphere,torus"
