@@ -9,7 +9,6 @@ import dataclasses
 import html
 import importlib
 import inspect
-import os
 import re
 import shutil
 from pathlib import Path
@@ -66,9 +65,7 @@ def framed(title: str, body: str, here: str, groups: Groups) -> str:
     """A whole page: sidebar and body."""
     side = ['<strong><a href="index.html">beltrami</a></strong>']
     for group, items in groups.items():
-        links = "".join(
-            f'<li><a href="{stem}.html"{CURRENT if stem == here else ""}>{html.escape(name)}</a></li>' for stem, name in items
-        )
+        links = "".join(f'<li><a href="{stem}.html"{CURRENT if stem == here else ""}>{html.escape(name)}</a></li>' for stem, name in items)
         side.append(f"<h2>{html.escape(group)}</h2><ul>{links}</ul>")
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -121,7 +118,10 @@ def items(text: str, known: dict[str, str]) -> str:
             entries.append((line, []))
         elif entries:
             entries[-1][1].append(line)
-    found = "".join(f"<dt>{html.escape(head)}</dt><dd>{inline(inspect.cleandoc(chr(10).join(body)), known)}</dd>" for head, body in entries)
+    found = "".join(
+        f"<dt>{re.sub('``(.+?)``', r'\1', html.escape(head, quote=False))}</dt><dd>{inline(inspect.cleandoc(chr(10).join(body)), known)}</dd>"
+        for head, body in entries
+    )
     return f'<dl class="items">{found}</dl>'
 
 
@@ -172,7 +172,7 @@ def reference() -> dict[str, dict[str, Any]]:
             item = getattr(part, name)
             if callable(item) and name not in bt.__all__ and hasattr(item, "__name__"):
                 found.setdefault(module, {})[name] = item
-    return dict(sorted(found.items()))
+    return {module: dict(sorted(names.items(), key=lambda pair: inspect.isclass(pair[1]))) for module, names in sorted(found.items())}
 
 
 def _own(module: Any, name: str, item: Any) -> bool:
@@ -238,9 +238,6 @@ def build(out: Path, rust: Path | None = None) -> list[Path]:
 
     for stem, title in [item for group, listed in groups.items() if group != "Reference" for item in listed]:
         body = to_html((HERE / f"{stem}.md").read_text(encoding="utf-8"))
-        if stem == "index" and "Methods" in groups:
-            listed = "".join(f'<li><a href="{page}.html">{name}</a></li>' for page, name in groups["Methods"])
-            body += f"<h2>Methods</h2><ul>{listed}</ul>"
         write(stem, title, body)
     rows = []
     for module, names in found.items():
@@ -250,10 +247,10 @@ def build(out: Path, rust: Path | None = None) -> list[Path]:
             rows.append(f"<tr><td>{link}</td><td>{inline(summary(item), known)}</td></tr>")
     body = '<h1>All names</h1><p>With <code>import beltrami as bt</code>.</p><div class="scroll"><table>' + "".join(rows) + "</table></div>"
     if rust is not None and (rust / "beltrami" / "index.html").is_file():
-        place = Path(os.path.relpath(rust, out)).as_posix()
-        body += f'<p>Rust: <a href="{place}/beltrami/index.html">the documentation of the crate</a>, made by <code>cargo doc</code>.</p>'
+        shutil.copytree(rust, out / "rust", dirs_exist_ok=True, ignore=shutil.ignore_patterns(".*"))
+        body += '<p>Rust: <a href="rust/beltrami/index.html">the reference of the crate</a>, made by <code>cargo doc</code>.</p>'
     else:
-        body += "<p>Rust: <code>cargo doc --no-deps --open</code> makes the documentation of the crate.</p>"
+        body += "<p>Rust: <code>cargo doc --no-deps --open</code> makes the reference of the crate.</p>"
     write("reference", "All names", body)
     images = HERE / "images"
     if images.is_dir():

@@ -95,7 +95,9 @@ def committor(path: Path) -> None:
     def energy(p: np.ndarray) -> np.ndarray:
         x, y = p.T
         up, down = (y - 1 / 3) ** 2, (y - 5 / 3) ** 2
-        wells = 3 * np.exp(-(x**2)) * (np.exp(-up) - np.exp(-down)) - 5 * np.exp(-(y**2)) * (np.exp(-((x - 1) ** 2)) + np.exp(-((x + 1) ** 2)))
+        wells = 3 * np.exp(-(x**2)) * (np.exp(-up) - np.exp(-down)) - 5 * np.exp(-(y**2)) * (
+            np.exp(-((x - 1) ** 2)) + np.exp(-((x + 1) ** 2))
+        )
         return np.asarray(wells + 0.2 * x**4 + 0.2 * (y - 1 / 3) ** 4)
 
     x = np.random.default_rng(0).uniform([-2, -1.5], [2, 2.5], (20_000, 2))
