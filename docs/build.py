@@ -118,10 +118,10 @@ def items(text: str, known: dict[str, str]) -> str:
             entries.append((line, []))
         elif entries:
             entries[-1][1].append(line)
-    found = "".join(
-        f"<dt>{re.sub('``(.+?)``', r'\1', html.escape(head, quote=False))}</dt><dd>{inline(inspect.cleandoc(chr(10).join(body)), known)}</dd>"
-        for head, body in entries
-    )
+    found = ""
+    for head, body in entries:
+        what = inline(inspect.cleandoc("\n".join(body)), known)
+        found += f"<dt>{html.escape(head.replace('``', ''))}</dt><dd>{what}</dd>"
     return f'<dl class="items">{found}</dl>'
 
 

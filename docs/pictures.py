@@ -80,7 +80,7 @@ def registration(path: Path) -> None:
 
 def conformal_registration(path: Path) -> None:
     spot = bt.examples.spot()
-    away = spot.vertices - (spot.vertices.mean(0) + [1.2, 1.1, 0.5])
+    away = spot.vertices - spot.vertices.mean(0) - np.array([1.2, 1.1, 0.5])
     square = (away**2).sum(1)
     inverted = bt.TriangleMesh(away / square[:, None] * [1, 1, -1], spot.faces)
     marks = bt.farthest_points(spot, 4)
@@ -95,9 +95,8 @@ def committor(path: Path) -> None:
     def energy(p: np.ndarray) -> np.ndarray:
         x, y = p.T
         up, down = (y - 1 / 3) ** 2, (y - 5 / 3) ** 2
-        wells = 3 * np.exp(-(x**2)) * (np.exp(-up) - np.exp(-down)) - 5 * np.exp(-(y**2)) * (
-            np.exp(-((x - 1) ** 2)) + np.exp(-((x + 1) ** 2))
-        )
+        sides = np.exp(-((x - 1) ** 2)) + np.exp(-((x + 1) ** 2))
+        wells = 3 * np.exp(-(x**2)) * (np.exp(-up) - np.exp(-down)) - 5 * np.exp(-(y**2)) * sides
         return np.asarray(wells + 0.2 * x**4 + 0.2 * (y - 1 / 3) ** 4)
 
     x = np.random.default_rng(0).uniform([-2, -1.5], [2, 2.5], (20_000, 2))
