@@ -28,7 +28,9 @@ console.error = console.warn = (...words) => problems.push(words.join(" "));
 TOOLS = """
 const wait = milliseconds => new Promise(done => setTimeout(done, milliseconds));
 const frame = () => wait(60);
-const key = async name => { document.body.dispatchEvent(new KeyboardEvent("keydown", { key: name, bubbles: true, cancelable: true })); await frame(); };
+const key = async name => {
+  document.body.dispatchEvent(new KeyboardEvent("keydown", { key: name, bubbles: true, cancelable: true })); await frame();
+};
 const colours = canvas => {
   const copy = document.createElement("canvas"); copy.width = canvas.width; copy.height = canvas.height;
   const context = copy.getContext("2d"); context.drawImage(canvas, 0, 0);
@@ -62,7 +64,9 @@ KEYS = """
 const canvas = document.getElementById("canvas"), course = [];
 await frame();
 const look = () => canvas.toDataURL(), first = look();
-for (const name of ["ArrowRight", "ArrowUp", "+", "c", "e", "n"]) { const before = look(); await key(name); course.push([name, look() !== before]); }
+for (const name of ["ArrowRight", "ArrowUp", "+", "c", "e", "n"]) {
+  const before = look(); await key(name); course.push([name, look() !== before]);
+}
 const field = document.getElementById("field").selectedOptions[0].textContent;
 await key("p"); await key("e"); await key("c"); await key("r");
 return { colours: colours(canvas), course, field, back: look() === first, said: canvas.getAttribute("aria-label"),
@@ -98,10 +102,12 @@ def test_film_plays(tmp_path: Path) -> None:
     seen = visited(
         page,
         """
-        const slider = document.querySelector("input[type=range]"), image = document.querySelector("img"), play = document.getElementById("play");
+        const slider = document.querySelector("input[type=range]"), image = document.querySelector("img");
+        const play = document.getElementById("play");
         const first = image.src; slider.value = slider.max; slider.dispatchEvent(new Event("input")); await wait(50);
         const last = image.src; play.click(); const playing = play.getAttribute("aria-pressed"); await wait(3000); play.click();
-        return { moved: first !== last, playing, alt: image.alt.length, label: slider.getAttribute("aria-label"), wide: image.naturalWidth };
+        const label = slider.getAttribute("aria-label");
+        return { moved: first !== last, playing, alt: image.alt.length, label, wide: image.naturalWidth };
         """,
     )
     assert seen["problems"] == []
@@ -120,8 +126,10 @@ def test_gallery_opens(tmp_path: Path) -> None:
         const images = [...document.images];
         for (const image of images) image.loading = "eager";
         await Promise.all(images.map(image => image.complete || new Promise(done => { image.onload = image.onerror = done; })));
-        return { images: images.filter(image => image.naturalWidth > 0).length, named: images.length, alt: images.map(image => image.alt.length), headings: document.querySelectorAll("h2").length,
-                 dead: [...document.querySelectorAll("a[href^='#']")].filter(a => !document.getElementById(a.hash.slice(1))).length };
+        const inside = [...document.querySelectorAll("a[href^='#']")];
+        return { images: images.filter(image => image.naturalWidth > 0).length, named: images.length,
+                 alt: images.map(image => image.alt.length), headings: document.querySelectorAll("h2").length,
+                 dead: inside.filter(a => !document.getElementById(a.hash.slice(1))).length };
         """,
     )
     assert seen["problems"] == []
