@@ -94,7 +94,10 @@ class _Joint:
     def __init__(self, models: list[Model], start: _Joint | None = None) -> None:
         self.models = models
         starts: list[Splitting | None] = [None] * len(models) if start is None else [*start.runs]
-        self.runs: list[Splitting] = [Splitting(model, start=before, ratio=RATIO) for model, before in zip(models, starts, strict=True)]
+        self.runs: list[Splitting] = []
+        for model, before in zip(models, starts, strict=True):
+            concentration = model.density / model.problem.mass  # how much denser than the mean the mass is
+            self.runs.append(Splitting(model, start=before, ratio=RATIO * concentration))
 
     def iterate(self) -> None:
         duals, ends = [], []
@@ -224,7 +227,7 @@ def wasserstein_barycenter(
         return BarycenterResult(surface.operators.shape, given[0].copy(), share, 0.0, 0.0, 0.0, np.zeros(count), paths, 0, True, none)
     middle = np.tensordot(share, np.stack(given), 1)
     scale = float(np.mean([Problem(surface, density, None, n).concentration for density in given]))
-    unit = max(travel(Problem(surface, density, middle, n, memory=limit)).length for density in given)
+    unit = max(travel(Problem(surface, density, middle, n, memory=limit))[0].length for density in given)
 
     def models(intervals: int) -> list[Model]:
         made = []
@@ -232,7 +235,7 @@ def wasserstein_barycenter(
             problem = Problem(surface, density, None, intervals, Lagrangian(2.0, float(weight * count)), memory=limit, scale=scale)
             made.append(Model(problem, intervals, Scales(unit, 1.0), float(intervals)))
             if len(made) > 1:
-                made[-1].projection = made[0].projection  # the same equation
+                made[-1].plain = made[0].plain  # the same equation
         return made
 
     watch = _Watch(progress, "barycenter", wished)

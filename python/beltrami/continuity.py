@@ -24,6 +24,7 @@ from .shapes import Shape, TriangleMesh
 from .solvers import PoissonSolver
 
 END = 2.0  # times the number of intervals: what a free end weighs in the projection
+RATIO = 0.5  # of the dual to the primal step, in the metric of the density
 NONNEGATIVE = 0.3  # κ: weight of the vertices' own block, which keeps the density from being negative and holds the costs
 RELAXATION = 1.8
 MEMORY = 2e9  # bytes of factors, by default
@@ -193,8 +194,22 @@ class Model:
         self.last_slice = intervals if self.end is None else intervals - 1  # the last that is free
 
     @cached_property
-    def projection(self) -> _core.SpaceTime:
-        return _core.SpaceTime(self.domain, self.n, self.end_weight if self.end is None else None, 1.0, self.problem.memory)
+    def plain(self) -> Metric:
+        """The metric of the chapter's projection, (8.23)."""
+        return Metric(self, np.ones(self.elements), np.ones(self.elements))
+
+    def metric(self, density: Floats) -> Metric:
+        """That in which the objective bends alike everywhere, for mass that moves like this path.
+
+        The second derivatives of ``w |M|² / (2 ρ)`` are ``w / ρ`` by the momentum and ``w v² / ρ`` by the density. What is constant in
+        time keeps the projection separable: the largest density that comes by between the ends, no less than the mean density. Costs of
+        being somewhere bend by themselves, so that only the weights count there."""
+        size = np.ones(self.elements)
+        if self.running is None and self.last is None:
+            most = np.maximum(density[1:-1] if len(density) > 2 else density, 0.0).max(axis=0)
+            most = self.surface.average @ (self.surface.average @ most)
+            size = np.maximum(most[self.surface.corners].max(axis=1), self.problem.mass / self.density)
+        return Metric(self, size, size / self.weights)
 
     # --- spaces -------------------------------------------------------------------------------------------------------------------
 
@@ -220,10 +235,15 @@ class Model:
         self.domain.densities(density, out)
         return out
 
-    def gather(self, scalar: Floats, field: Floats, other: Floats, factor: float) -> tuple[Floats, Floats]:
+    def gather(self, scalar: Floats, field: Floats, other: Floats, factors: Floats) -> tuple[Floats, Floats]:
+        """What averages over elements give to the vertices, and the flux of ``field - factors other`` into them."""
         mean, flux = np.empty((self.n, self.surface.count)), np.empty((self.n, self.surface.count))
-        self.domain.gather(scalar, field, other, factor, mean, flux)
+        self.domain.gather(scalar, field, other, factors, mean, flux)
         return mean, flux
+
+    def flux(self, momentum: Floats) -> Floats:
+        """(intervals, n): what flows into the vertices."""
+        return self.gather(np.zeros((self.n, self.elements)), momentum, momentum, np.zeros(self.elements))[1]
 
     def squares(self, momentum: Floats) -> Floats:
         """|M|² on each element."""
@@ -238,15 +258,15 @@ class Model:
         out[-1] /= self.end_weight
         return np.divide(out, self.mass, out=out, where=self.mass > 0)
 
-    def project(self, density: Floats, momentum_flux: Floats) -> tuple[Floats, Floats]:
+    def project(self, density: Floats, momentum_flux: Floats, metric: Metric) -> tuple[Floats, Floats]:
         """Projection on the continuity equation (8.23-8.25) of densities and of momenta with this flux: new densities, and ψ."""
         right = self.n * self.mass * np.diff(density, axis=0) - momentum_flux
         psi = np.empty_like(right)
-        self.projection.solve(right, psi)
+        metric.projection.solve(right, psi)
         moved = density.copy()
-        moved[1:-1] += self.n * np.diff(psi, axis=0)
+        moved[1:-1] += self.n * metric.nodes * np.diff(psi, axis=0)
         if self.end is None:
-            moved[-1] -= self.n / self.end_weight * psi[-1]
+            moved[-1] -= self.n / self.end_weight * metric.nodes * psi[-1]
         moved[:, self.mass == 0] = density[:, self.mass == 0]
         return moved, psi
 
@@ -337,7 +357,7 @@ class Model:
             for candidate in candidates.reshape(len(REPAIRS), self.n, -1):
                 phi = -candidate[::-1] if backward else candidate
                 value = self.boundary(phi, self.hamiltonian(np.ascontiguousarray(phi)), last)
-                if np.isfinite(value) and value > best:
+                if np.isfinite(value) and value > best and np.abs(phi).max() < 1e100:
                     best, proof = value, phi.copy()
         return best, proof
 
@@ -495,8 +515,7 @@ class Model:
 
     def corrected(self, density: Floats, momentum: Floats) -> Floats:
         """The momentum nearest to the given one that moves these densities."""
-        flux = self.gather(np.zeros((self.n, self.elements)), momentum, momentum, 0.0)[1]
-        missing = self.rate(density) - flux
+        missing = self.rate(density) - self.flux(momentum)
         size = max(float(np.abs(self.rate(density)).max()), 1e-300)
         if float(np.abs(missing).max()) <= 1e-15 * size:
             return momentum
@@ -519,6 +538,21 @@ class Model:
         return out
 
 
+class Metric:
+    """A metric for densities and momenta, constant in time: what their size is on each element, and how freely momenta move."""
+
+    def __init__(self, model: Model, size: Floats, mobility: Floats) -> None:
+        surface = model.surface
+        self.size, self.mobility = np.ascontiguousarray(size), np.ascontiguousarray(mobility)
+        # harmonic means, so that averages from vertices to elements do not lengthen: mean(1 / size) <= 1 / nodes
+        corners, each = surface.corners.ravel(), surface.corners.shape[1]
+        area = np.bincount(corners, np.repeat(surface.areas, each), surface.count)
+        inverse = np.bincount(corners, np.repeat(surface.areas / self.size, each), surface.count)
+        self.nodes = np.divide(area, inverse, out=np.ones_like(area), where=inverse > 0)
+        end = model.end_weight if model.end is None else None
+        self.projection = _core.SpaceTime(model.domain, model.n, end, self.nodes, self.mobility, model.problem.memory)
+
+
 @dataclass
 class Iterate:
     """Where an iteration stands: densities and momenta that satisfy the continuity equation, and a potential."""
@@ -532,13 +566,16 @@ class Splitting:
     """Primal-dual splitting (Chambolle and Pock) with the exact projection on the continuity equation on one side, the exact
     projection of the perspective function on the other, and a block of the vertices for ρ >= 0 and the costs of being somewhere."""
 
-    def __init__(self, model: Model, *, start: Splitting | None = None, ratio: float | None = None) -> None:
-        self.model = model
+    def __init__(
+        self, model: Model, *, metric: Metric | None = None, start: Splitting | None = None, ratio: float | None = None
+    ) -> None:
+        self.model, self.metric = model, model.plain if metric is None else metric
         q = model.density / model.problem.mass  # how much denser than the mean the mass is
         stiff = model.running is not None and model.running.superlinear
-        # the ratio of the dual to the primal step
-        kappa, found = (1.0, 1.0) if stiff else (NONNEGATIVE, min(0.25, 0.05 * max(1.0, q / 4)))
-        ratio = q * (found if ratio is None else ratio)
+        kappa = 1.0 if stiff else NONNEGATIVE
+        if ratio is None:  # of the dual to the primal step
+            even = model.running is None and model.last is None and metric is not None
+            ratio = RATIO if even else q if stiff else q * min(0.25, 0.05 * max(1.0, q / 4))
         self.tau, self.sigma = float(np.sqrt(1 / (ratio * (1 + kappa**2)))), float(np.sqrt(ratio / (1 + kappa**2)))
         self.kappa = np.full((model.last_slice, 1), kappa)  # of the slices that are free
         if model.end is None:
@@ -560,21 +597,23 @@ class Splitting:
 
     def advance(self) -> Floats:
         """Half an iteration: the projection. Returns ``2 P' - P`` of the slices that are free."""
-        model, tau = self.model, self.tau
-        mean, flux = model.gather(self.dual_density, self.momentum, self.dual_momentum, tau)
+        model, metric, tau = self.model, self.metric, self.tau
+        mean, flux = model.gather(self.dual_density, self.momentum, self.dual_momentum, tau * metric.mobility)
         pull = model.at_nodes(mean)
         pull[1 : model.last_slice + 1] += self.kappa * self.dual_vertex[1 : model.last_slice + 1]
         pull[0] = 0
         if model.end is not None:
             pull[-1] = 0
-        self.after, self.psi = model.project(self.density - tau * pull, flux)
+        self.after, self.psi = model.project(self.density - tau * metric.nodes * pull, flux, metric)
         return 2 * self.after[1 : model.last_slice + 1] - self.density[1 : model.last_slice + 1]
 
     def finish(self, vertex: Floats) -> None:
         """The other half: dual steps, ``vertex`` being the new dual of the vertices, and over-relaxation."""
         model = self.model
         steps = (self.tau, self.sigma, RELAXATION, model.power)
-        model.domain.step(steps, model.weights, self.density, self.after, self.psi, self.momentum, self.dual_density, self.dual_momentum)
+        sizes = (model.weights, self.metric.size, self.metric.mobility)
+        tables = (self.density, self.after, self.psi, self.momentum, self.dual_density, self.dual_momentum)
+        model.domain.step(steps, *sizes, *tables)
         free = slice(1, model.last_slice + 1)
         self.dual_vertex[free] += RELAXATION * (vertex - self.dual_vertex[free])
         self.density = self.density + RELAXATION * (self.after - self.density)
@@ -585,6 +624,8 @@ class Splitting:
 
     def vertex_dual(self, ahead: Floats) -> Floats:
         model, scale = self.model, self.sigma * self.kappa
+        if model.running is None and model.last is None:
+            return np.minimum(self.dual_vertex[1 : model.last_slice + 1] + scale / self.metric.nodes * ahead, 0.0)
         v = self.dual_vertex[1 : model.last_slice + 1] + scale * ahead
         return v - scale * model.prox(v / scale, 1 / (scale * self.kappa)) if v.size else v
 
@@ -642,7 +683,7 @@ class Gradient:
             factor = model.weights * np.where(square > 0, square ** (q / 2 - 1), 0.0) * floored ** (1 - q)
         by_density = np.where(rho > self.floor, model.weights * (1 - q) / q * square ** (q / 2) * floored ** (-q), 0.0)
         by_momentum = momentum * np.repeat(factor, model.surface.dimension, axis=1)
-        out = model.at_nodes(model.gather(by_density, momentum, momentum, 0.0)[0])
+        out = model.at_nodes(model.gather(by_density, momentum, momentum, np.zeros(model.elements))[0])
         for cost, k, _ in self.costs():
             out[k] += self.extended(cost, density[k : k + 1])[1][0] / (model.end_weight if k == model.n else 1.0)
         out[0] = 0
@@ -658,13 +699,11 @@ class Gradient:
         m = self.momentum + ahead * (self.momentum - self.behind[1])
         here, (slope_p, slope_m) = self.value(p, m), self.slope(p, m)
         self.step *= 1.3
-        zero = np.zeros((model.n, model.elements))
         measure, slices = np.repeat(model.surface.areas, model.surface.dimension), np.ones(model.n + 1)
         slices[-1] = 1.0 if model.end is not None else model.end_weight
         while True:
             eta = self.step
-            flux = model.gather(zero, m, slope_m, eta)[1]
-            moved, psi = model.project(p - eta * slope_p, flux)
+            moved, psi = model.project(p - eta * slope_p, model.flux(m - eta * slope_m), model.plain)
             momentum = m - eta * slope_m + model.gradients(psi)
             dp, dm = moved - p, momentum - m
             linear = float(slices @ ((slope_p * dp) @ model.mass)) + float(((slope_m * dm) @ measure).sum())
@@ -742,8 +781,18 @@ def looks(most: int) -> list[int]:
     return [*found, most]
 
 
-def travel(problem: Problem, iterations: int = 40) -> Scales:
-    """How far mass goes, and over which weights: from a short run with few intervals."""
+def next_look(history: list[tuple[int, float, float, float]], tolerance: float) -> int:
+    """The iteration at which the gap will have come down to the tolerance, if it goes on like a power of the iterations: bounds cost as
+    much as ten iterations and more. At least 1.2 and at most twice as many as now."""
+    now, gap = history[-1][0], history[-1][3]
+    before, wider = history[-2][0], history[-2][3]
+    order = np.log(wider / gap) / np.log(now / before) if before > 0 and 0 < gap < wider < np.inf else 1.5
+    factor = (gap / tolerance) ** (1 / max(order, 0.5)) if np.isfinite(gap) else 2.0
+    return max(int(np.ceil(now * np.clip(factor, 1.2, 2.0))), now + 4)
+
+
+def travel(problem: Problem, iterations: int = 40) -> tuple[Scales, Floats]:
+    """How far mass goes, over which weights, and its path, from a short run with few intervals."""
     weights = problem.lagrangian.weights(len(problem.surface.corners))
     model = Model(problem, min(problem.intervals, 4), Scales(0.5, float(np.median(weights))))
     run = Splitting(model)
@@ -756,11 +805,12 @@ def travel(problem: Problem, iterations: int = 40) -> Scales:
     level = np.ones_like(model.weights)
     plain = model.kinetic(found.density, found.momentum, level)
     if not (np.isfinite(plain) and plain > 0):
-        return Scales(1e-3, float(np.median(weights)))
+        return Scales(1e-3, float(np.median(weights))), run.density
     weight = float(np.clip(energy / plain, model.weights.min(), model.weights.max()))
     if model.running is None and model.last is None:
         plain *= float(np.sqrt(np.clip(found.lower / found.upper, 0.05, 1.0)))  # the run is short: between its two bounds
-    return Scales(float(np.clip(0.5 * (q * plain / mass) ** (1 / q), 1e-3, 10.0)), weight * float(np.median(weights)))
+    length = float(np.clip(0.5 * (q * plain / mass) ** (1 / q), 1e-3, 10.0))
+    return Scales(length, weight * float(np.median(weights))), run.density
 
 
 COARSE = 20  # iterations with few intervals, of each number, before those with all
@@ -773,14 +823,14 @@ def coarser(intervals: int) -> list[int]:
 
 def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Callable[[float, float], None]) -> tuple[Certificate, int]:
     """Iterates until the certified gap is below the tolerance, or ``most`` times."""
-    scales = travel(problem)
+    scales, path = travel(problem)
     model = Model(problem, problem.intervals, scales, 1.0 if method == "projected_gradient" else None)
     certificate = Certificate(model)
     line = model.line()
     if problem.end is not None:
         line = model.paths(line)[0]
     still = Iterate(line, model.corrected(line, model.momentum()), np.zeros((model.n, model.surface.count)))
-    certificate.look(still, 0, 0.0)
+    certificate.look(still, 0, np.inf)
     if certificate.gap <= tolerance:
         return certificate, 0
     run: Splitting | Gradient
@@ -789,17 +839,20 @@ def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Cal
     else:
         before = None
         for few in coarser(problem.intervals):
-            before = Splitting(Model(problem, few, scales), start=before)
+            coarse = Model(problem, few, scales)
+            before = Splitting(coarse, metric=coarse.metric(path), start=before)
             for _ in range(COARSE):
                 before.iterate()
                 watch(1.0, 0.0)
-        run = Splitting(model, start=before)
-    stops = set(looks(most))
+            path = before.density
+        run = Splitting(model, metric=model.metric(path), start=before)
+    stop = min(8, most)
     for iteration in range(1, most + 1):
         run.iterate()
-        if iteration in stops:
+        if iteration == stop:
             certificate.look(run.state(), iteration, tolerance)
             if certificate.gap <= tolerance:
                 break
+            stop = min(next_look(certificate.history, tolerance), most)
         watch(min(certificate.gap, 1.0), iteration / most)
     return certificate, iteration

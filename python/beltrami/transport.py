@@ -289,7 +289,7 @@ def flow_fields(problem: Problem, certificate: Certificate, iterations: int, tol
     path = density / model.density
     momentum = model.corrected(path, model.corrected(path, certificate.momentum))
     objective = model.kinetic(path, momentum) + model.standing(path)
-    flux = model.gather(np.zeros((model.n, model.elements)), momentum, momentum, 0.0)[1]
+    flux = model.flux(momentum)
     change = model.rate(path)
     there = surface.mass > 0
     rms = [float(np.sqrt((x[:, there] ** 2 / surface.mass[there]).sum() / model.n)) for x in (change - flux, change)]

@@ -28,9 +28,9 @@ pub struct Domain {
 /// One step of the splitting on the elements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// Length of the primal step.
+    /// Length of the primal step, where the mobility is 1.
     pub primal: f64,
-    /// Length of the dual step.
+    /// Length of the dual step, where density and mobility are 1.
     pub dual: f64,
     /// Over-relaxation, from 1 to below 2.
     pub relaxation: f64,
@@ -201,35 +201,45 @@ impl Domain {
         }
     }
 
-    /// Sums what elements give to their corners: for each slice `mean = Σ a/corners f` and `flux = Σ a h · (X - factor Y)`.
+    /// Sums what elements give to their corners: for each slice `mean = Σ a/corners f` and `flux = Σ a h · (X - factor Y)`, with a
+    /// factor for each element.
     ///
     /// ```
     /// # use beltrami::{Control, shrink::Elements, transport::Domain};
     /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
     /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
     /// let (mut mean, mut flux) = ([0.0; 2], [0.0; 2]);
-    /// domain.gather(&[3.0], &[2.0], &[1.0], 0.5, &mut mean, &mut flux)?;
+    /// domain.gather(&[3.0], &[2.0], &[1.0], &[0.5], &mut mean, &mut flux)?;
     /// assert_eq!((mean, flux), ([1.5, 1.5], [-1.5, 1.5]));
     /// # Ok::<(), beltrami::Error>(())
     /// ```
     ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit.
-    pub fn gather(&self, scalar: &[f64], field: &[f64], other: &[f64], factor: f64, mean: &mut [f64], flux: &mut [f64]) -> Result<()> {
+    pub fn gather(&self, scalar: &[f64], field: &[f64], other: &[f64], factors: &[f64], mean: &mut [f64], flux: &mut [f64]) -> Result<()> {
         let slices = self.slices(mean.len())?;
         self.expect("flux", flux.len(), mean.len())?;
         self.expect("the scalars", scalar.len(), slices * self.count())?;
         self.expect("the field", field.len(), scalar.len() * self.coordinates())?;
         self.expect("the other field", other.len(), field.len())?;
+        self.expect("the factors", factors.len(), self.count())?;
         match self.elements.corners {
-            2 => self.gather_sized::<2>(scalar, field, other, factor, mean, flux),
-            3 => self.gather_sized::<3>(scalar, field, other, factor, mean, flux),
-            _ => self.gather_sized::<4>(scalar, field, other, factor, mean, flux),
+            2 => self.gather_sized::<2>(scalar, field, other, factors, mean, flux),
+            3 => self.gather_sized::<3>(scalar, field, other, factors, mean, flux),
+            _ => self.gather_sized::<4>(scalar, field, other, factors, mean, flux),
         }
         Ok(())
     }
 
-    fn gather_sized<const S: usize>(&self, scalar: &[f64], field: &[f64], other: &[f64], factor: f64, mean: &mut [f64], flux: &mut [f64]) {
+    fn gather_sized<const S: usize>(
+        &self,
+        scalar: &[f64],
+        field: &[f64],
+        other: &[f64],
+        factors: &[f64],
+        mean: &mut [f64],
+        flux: &mut [f64],
+    ) {
         let (nodes, count, side) = (self.nodes(), self.count(), S - 1);
         if nodes == 0 {
             return;
@@ -245,7 +255,7 @@ impl Domain {
                     for &at in &elements.incidence[elements.starts[node]..elements.starts[node + 1]] {
                         let at = at as usize;
                         let element = at / S;
-                        let (hat, weight) = (&self.hats[at * side..][..side], elements.weights[element]);
+                        let (hat, weight, factor) = (&self.hats[at * side..][..side], elements.weights[element], factors[element]);
                         let (x, y) = (&field[element * side..][..side], &other[element * side..][..side]);
                         let mut product = 0.0;
                         for k in 0..side {
@@ -349,8 +359,9 @@ impl Domain {
     /// One step of the splitting on the elements. With the nodal tables `before` and `after` (the densities, one slice more than
     /// intervals) and `potential` (the projection's, a slice an interval):
     ///
-    /// `M' = M - τ y_M + grad ψ`, `(y_R, y_M)' = Π(y_R + σ mean(2 P' - P), y_M + σ (2 M' - M))`, everything over-relaxed, where Π projects
-    /// on `α + L*(β) <= 0`, the dual of the perspective `ρ L(M / ρ)` (Benamou and Brenier 2000; Papadakis, Peyré and Oudet 2014).
+    /// `M' = M + e (grad ψ - τ y_M)`, `(y_R, y_M)' = Π(y_R + σ/r mean(2 P' - P), y_M + σ/e (2 M' - M))`, everything over-relaxed, where Π
+    /// projects on `α + L*(β) <= 0`, the dual of the perspective `ρ L(M / ρ)` (Benamou and Brenier 2000; Papadakis, Peyré and Oudet
+    /// 2014), in the metric (r, e). For each element r is the size of the density there, e the mobility of the momentum.
     ///
     /// ```
     /// # use beltrami::{Control, shrink::Elements, transport::{Domain, Step}};
@@ -358,7 +369,7 @@ impl Domain {
     /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
     /// let how = Step { primal: 1.0, dual: 1.0, relaxation: 1.0, power: 2.0 };
     /// let (mut m, mut r, mut d) = ([0.0], [0.0], [0.0]);
-    /// domain.step(how, &[1.0], &[0.0; 4], &[-1.0; 4], &[0.0, 0.5], &mut m, &mut r, &mut d)?;
+    /// domain.step(how, [&[1.0]; 3], &[0.0; 4], &[-1.0; 4], &[0.0, 0.5], &mut m, &mut r, &mut d)?;
     /// assert_eq!((m, r, d), ([0.5], [-2.0], [1.0])); // (-2, 1) satisfies α + β² / 2 <= 0 already
     /// # Ok::<(), beltrami::Error>(())
     /// ```
@@ -368,7 +379,7 @@ impl Domain {
     pub fn step(
         &self,
         how: Step,
-        weights: &[f64],
+        [weights, sizes, mobility]: [&[f64]; 3],
         before: &[f64],
         after: &[f64],
         potential: &[f64],
@@ -380,6 +391,8 @@ impl Domain {
         self.expect("the densities before", before.len(), (slices + 1) * self.nodes())?;
         self.expect("the densities after", after.len(), before.len())?;
         self.expect("the weights", weights.len(), self.count())?;
+        self.expect("the sizes", sizes.len(), self.count())?;
+        self.expect("the mobilities", mobility.len(), self.count())?;
         self.expect("the dual densities", dual_density.len(), slices * self.count())?;
         self.expect("the momenta", momentum.len(), dual_density.len() * self.coordinates())?;
         self.expect("the dual momenta", dual_momentum.len(), momentum.len())?;
@@ -401,9 +414,9 @@ impl Domain {
             chunks.zip(dual_momentum.par_chunks_mut(CHUNK * side)).enumerate().for_each(|(chunk, ((m, r), d))| {
                 let first = chunk * CHUNK;
                 match side {
-                    1 => self.step_sized::<2>(how, weights, ends, potential, first, m, r, d),
-                    2 => self.step_sized::<3>(how, weights, ends, potential, first, m, r, d),
-                    _ => self.step_sized::<4>(how, weights, ends, potential, first, m, r, d),
+                    1 => self.step_sized::<2>(how, [weights, sizes, mobility], ends, potential, first, m, r, d),
+                    2 => self.step_sized::<3>(how, [weights, sizes, mobility], ends, potential, first, m, r, d),
+                    _ => self.step_sized::<4>(how, [weights, sizes, mobility], ends, potential, first, m, r, d),
                 }
             });
         });
@@ -413,7 +426,7 @@ impl Domain {
     fn step_sized<const S: usize>(
         &self,
         how: Step,
-        weights: &[f64],
+        [weights, sizes, mobility]: [&[f64]; 3],
         ends: [&[f64]; 2],
         potential: &[f64],
         first: usize,
@@ -429,23 +442,27 @@ impl Domain {
         for (offset, ((m, r), d)) in each.enumerate() {
             let element = first + offset;
             let slope = self.slope::<S>(potential, element);
+            let (size, mobility) = (sizes[element], mobility[element]);
+            // in coordinates where the projection is orthogonal: momenta are multiplied by the root of this, and so are their weights
+            let stretch = mobility / size;
             let mut mean = 0.0;
             for &corner in &self.elements.indices[element * S..][..S] {
                 let corner = corner as usize;
                 mean += 2.0 * (after[corner] + after[corner + nodes]) - (before[corner] + before[corner + nodes]);
             }
-            let a = *r + dual * (share * mean);
+            let a = *r + dual / size * (share * mean);
             let (mut b, mut moved, mut square, mut last) = ([0.0; S], [0.0; S], 0.0, 0.0);
             for k in 0..side {
                 last += d[k] * d[k];
-                moved[k] = slope[k] - primal * d[k];
-                b[k] = d[k] + dual * (m[k] + 2.0 * moved[k]);
+                moved[k] = mobility * (slope[k] - primal * d[k]);
+                b[k] = d[k] + dual / mobility * (m[k] + 2.0 * moved[k]);
                 square += b[k] * b[k];
             }
+            let square = stretch * square;
             let (alpha, scale) = if power == 2.0 {
-                nearest_square(a, square, weights[element], last.sqrt())
+                nearest_square(a, square, stretch * weights[element], (stretch * last).sqrt())
             } else {
-                nearest(a, square, weights[element], conjugate)
+                nearest(a, square, weights[element] * stretch.powf(0.5 * power), conjugate)
             };
             *r += relaxation * (alpha - *r);
             for k in 0..side {

@@ -12,4 +12,4 @@ mod space_time;
 
 pub use domain::{Domain, Step};
 pub use hamilton_jacobi::Repair;
-pub use space_time::{Ends, SpaceTime};
+pub use space_time::{Ends, Mobility, SpaceTime};

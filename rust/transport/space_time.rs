@@ -4,6 +4,7 @@ use super::Domain;
 use crate::control::Control;
 use crate::error::{Error, Result};
 use crate::solvers::{Cholesky, Scratch};
+use crate::sparse::Csr;
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::sync::Mutex;
@@ -18,12 +19,34 @@ pub enum Ends {
     Free(f64),
 }
 
+/// How freely densities and momenta move: the inverse of the metric in which the projection is orthogonal. Large where there is
+/// mass, so that what is missing is brought from there; all ones for the plain projection.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mobility {
+    /// Of the density at each node.
+    pub nodes: Vec<f64>,
+    /// Of the momentum on each element.
+    pub elements: Vec<f64>,
+}
+
+impl Mobility {
+    /// The same everywhere.
+    ///
+    /// ```
+    /// assert_eq!(beltrami::transport::Mobility::uniform(3, 1).nodes, [1.0; 3]);
+    /// ```
+    pub fn uniform(nodes: usize, elements: usize) -> Self {
+        Mobility { nodes: vec![1.0; nodes], elements: vec![1.0; elements] }
+    }
+}
+
 const ITERATIONS: usize = 400;
 const TOLERANCE: f64 = 1e-13;
 
-/// Solves `(n^2 T ⊗ diag(m) + s I ⊗ L) ψ = b` over n intervals, T the second difference in time.
+/// Solves `(n^2 T ⊗ diag(r m) + I ⊗ L) ψ = b` over n intervals, T the second difference in time, r the nodes' mobility and L the
+/// stiffness with the elements' mobility.
 ///
-/// T is diagonalized by cosines, for given and for free ends, and each mode has a sparse factor of `λ diag(m) + s L`; all share one
+/// T is diagonalized by cosines, for given and for free ends, and each mode has a sparse factor of `λ diag(r m) + L`; all share one
 /// analysis and are made and used in parallel. Where that many factors do not fit into the memory allowed, modes share factors:
 /// each of the others is solved by conjugate gradients, preconditioned by the factor of the mode nearest to it, which bounds the
 /// condition number by the ratio of their two λ.
@@ -38,7 +61,9 @@ pub struct SpaceTime {
     /// Which factor a mode uses, and whether it is its own.
     uses: Vec<(usize, bool)>,
     singular: bool,
-    scale: f64,
+    /// Nodal masses times mobilities.
+    mass: Vec<f64>,
+    stiffness: Csr,
     scratch: Mutex<Vec<Scratch>>,
 }
 
@@ -49,17 +74,22 @@ impl SpaceTime {
     /// # use beltrami::{Control, shrink::Elements, transport::Domain};
     /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
     /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
-    /// use beltrami::transport::{Ends, SpaceTime};
-    /// let solver = SpaceTime::new(&domain, 4, Ends::Free(4.0), 1.0, 1e9, &Control::default())?;
+    /// use beltrami::transport::{Ends, Mobility, SpaceTime};
+    /// let solver = SpaceTime::new(&domain, 4, Ends::Free(4.0), &Mobility::uniform(2, 1), 1e9, &Control::default())?;
     /// assert_eq!((solver.intervals(), solver.factors()), (4, 4));
     /// # Ok::<(), beltrami::Error>(())
     /// ```
     ///
     /// # Errors
-    /// [`Error::Input`] for no intervals or a scale that is not positive; [`Error::Numerical`] if a factor breaks down; [`Error::Cancelled`].
-    pub fn new(domain: &Domain, intervals: usize, ends: Ends, scale: f64, memory: f64, control: &Control) -> Result<Self> {
-        if intervals == 0 || !(scale > 0.0 && scale.is_finite()) {
-            return Err(Error::input(format!("{intervals} intervals with the scale {scale}; both must be positive")));
+    /// [`Error::Input`] for no intervals or a mobility that is not positive; [`Error::Numerical`] if a factor breaks down; [`Error::Cancelled`].
+    pub fn new(domain: &Domain, intervals: usize, ends: Ends, mobility: &Mobility, memory: f64, control: &Control) -> Result<Self> {
+        if intervals == 0 {
+            return Err(Error::input("there are no intervals; at least one is needed".to_string()));
+        }
+        domain.expect("the mobility of densities", mobility.nodes.len(), domain.nodes())?;
+        domain.expect("the mobility of momenta", mobility.elements.len(), domain.count())?;
+        if let Some(bad) = mobility.nodes.iter().chain(&mobility.elements).find(|x| !(**x > 0.0 && x.is_finite())) {
+            return Err(Error::input(format!("a mobility is {bad}; mobilities must be positive")));
         }
         // cos(θ (k + 1/2)) satisfies the equation inside and at the start; at the end it must be `kept` times its last value.
         let (n, kept) = match ends {
@@ -90,7 +120,10 @@ impl SpaceTime {
             modes.extend(row.iter().map(|x| x / norm));
             shifts.push(4.0 * n * n * (0.5 * angle).sin().powi(2));
         }
-        let stiffness = domain.stiffness(|_| scale, false);
+        let conductivity = |element: usize| mobility.elements[element];
+        let stiffness = domain.stiffness(conductivity, false);
+        let shifted = |(&mass, &r): (&f64, &f64)| if mass > 0.0 { mass * r } else { 1.0 };
+        let mass: Vec<f64> = domain.mass.iter().zip(&mobility.nodes).map(shifted).collect();
         let singular = ends == Ends::Fixed;
         let size = 8.0 * (domain.symbolic.nnz() + stiffness.values().len()) as f64;
         let most = ((memory / size.max(1.0)) as usize).clamp(2.min(intervals), intervals);
@@ -102,13 +135,13 @@ impl SpaceTime {
                 .with_max_len(1)
                 .map(|&q| {
                     let matrix = if q == 0 && singular {
-                        domain.stiffness(|_| scale, true)
+                        domain.stiffness(conductivity, true)
                     } else {
                         let mut values = stiffness.values().to_vec();
-                        for (node, &mass) in domain.mass.iter().enumerate() {
-                            values[domain.diagonal(node)] += shifts[q] * if mass > 0.0 { mass } else { 1.0 };
+                        for (node, &mass) in mass.iter().enumerate() {
+                            values[domain.diagonal(node)] += shifts[q] * mass;
                         }
-                        crate::sparse::Csr::trusted(
+                        Csr::trusted(
                             stiffness.rows(),
                             stiffness.columns(),
                             stiffness.starts().to_vec(),
@@ -133,7 +166,18 @@ impl SpaceTime {
                 }
             })
             .collect();
-        Ok(SpaceTime { intervals, nodes: domain.nodes(), modes, shifts, factors, uses, singular, scale, scratch: Mutex::default() })
+        Ok(SpaceTime {
+            intervals,
+            nodes: domain.nodes(),
+            modes,
+            shifts,
+            factors,
+            uses,
+            singular,
+            mass,
+            stiffness,
+            scratch: Mutex::default(),
+        })
     }
 
     /// Number of intervals.
@@ -187,7 +231,7 @@ impl SpaceTime {
                 scratch.refine = q == 0 && self.singular;
                 self.factors[at].solve_block_into(b, 1, &mut x, &mut scratch)
             } else {
-                self.conjugate_gradients(domain, q, &self.factors[at], b, &mut x, &mut scratch)
+                self.conjugate_gradients(q, &self.factors[at], b, &mut x, &mut scratch)
             };
             if let Ok(mut kept) = self.scratch.lock() {
                 kept.push(scratch);
@@ -199,20 +243,11 @@ impl SpaceTime {
         Ok(())
     }
 
-    fn conjugate_gradients(
-        &self,
-        domain: &Domain,
-        q: usize,
-        factor: &Cholesky,
-        b: &[f64],
-        x: &mut [f64],
-        scratch: &mut Scratch,
-    ) -> Result<()> {
-        let stiffness = domain.stiffness(|_| self.scale, false);
+    fn conjugate_gradients(&self, q: usize, factor: &Cholesky, b: &[f64], x: &mut [f64], scratch: &mut Scratch) -> Result<()> {
         let apply = |x: &[f64]| -> Result<Vec<f64>> {
-            let mut y = stiffness.multiply(x)?;
-            for ((y, x), &mass) in y.iter_mut().zip(x).zip(&domain.mass) {
-                *y += self.shifts[q] * if mass > 0.0 { mass } else { 1.0 } * x;
+            let mut y = self.stiffness.multiply(x)?;
+            for ((y, x), &mass) in y.iter_mut().zip(x).zip(&self.mass) {
+                *y += self.shifts[q] * mass * x;
             }
             Ok(y)
         };
@@ -306,10 +341,11 @@ mod tests {
     #[test]
     fn solves_the_difference_equation() {
         let domain = square();
+        let mobility = Mobility { nodes: vec![1.0, 0.4, 2.0, 1.3], elements: vec![0.7, 0.05] };
         for ends in [Ends::Fixed, Ends::Free(1.0), Ends::Free(7.5)] {
             for memory in [1e9, 0.0] {
                 let (n, nodes) = (7, 4);
-                let solver = SpaceTime::new(&domain, n, ends, 0.7, memory, &Control::default()).unwrap();
+                let solver = SpaceTime::new(&domain, n, ends, &mobility, memory, &Control::default()).unwrap();
                 assert_eq!(solver.factors(), if memory > 0.0 { n } else { 2 });
                 let mut b: Vec<f64> = (0..n * nodes).map(|k| ((k * k) as f64 * 0.37).sin()).collect();
                 let mean = b.iter().sum::<f64>() / domain.mass.iter().sum::<f64>() / n as f64;
@@ -318,7 +354,7 @@ mod tests {
                 }
                 let mut x = vec![0.0; b.len()];
                 solver.solve(&domain, &b, &mut x, &Control::default()).unwrap();
-                let stiffness = domain.stiffness(|_| 0.7, false);
+                let stiffness = domain.stiffness(|element| mobility.elements[element], false);
                 for k in 0..n {
                     let rows = stiffness.multiply(&x[k * nodes..(k + 1) * nodes]).unwrap();
                     for i in 0..nodes {
@@ -329,7 +365,7 @@ mod tests {
                             Ends::Fixed => here,
                             Ends::Free(weight) => (1.0 - 1.0 / weight) * here,
                         };
-                        let value = (n * n) as f64 * (2.0 * here - before - after) * domain.mass[i] + rows[i];
+                        let value = (n * n) as f64 * (2.0 * here - before - after) * domain.mass[i] * mobility.nodes[i] + rows[i];
                         assert!((value - b[k * nodes + i]).abs() < 1e-11, "{ends:?} {k} {i}: {value} {}", b[k * nodes + i]);
                     }
                 }

@@ -3,7 +3,7 @@
 use crate::convert::{table, vector, vector_out};
 use crate::run;
 use crate::shrink::{Elements, written};
-use beltrami::transport::{self, Domain, Ends, Repair, Step};
+use beltrami::transport::{self, Domain, Ends, Mobility, Repair, Step};
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray2};
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -48,13 +48,13 @@ impl TransportDomain {
         scalar: PyReadonlyArray2<'_, f64>,
         field: PyReadonlyArray2<'_, f64>,
         other: PyReadonlyArray2<'_, f64>,
-        factor: f64,
+        factors: PyReadonlyArray1<'_, f64>,
         mut mean: PyReadwriteArray2<'_, f64>,
         mut flux: PyReadwriteArray2<'_, f64>,
     ) -> PyResult<()> {
         let (scalar, field, other) = (table(&scalar)?.0, table(&field)?.0, table(&other)?.0);
-        let (mean, flux) = (written(&mut mean, py)?, written(&mut flux, py)?);
-        run::brief(py, || self.domain.gather(scalar, field, other, factor, mean, flux))
+        let (factors, mean, flux) = (vector(&factors)?, written(&mut mean, py)?, written(&mut flux, py)?);
+        run::brief(py, || self.domain.gather(scalar, field, other, factors, mean, flux))
     }
 
     /// Densities on elements and intervals into `out`.
@@ -88,6 +88,8 @@ impl TransportDomain {
         py: Python<'_>,
         steps: (f64, f64, f64, f64),
         weights: PyReadonlyArray1<'_, f64>,
+        sizes: PyReadonlyArray1<'_, f64>,
+        mobility: PyReadonlyArray1<'_, f64>,
         before: PyReadonlyArray2<'_, f64>,
         after: PyReadonlyArray2<'_, f64>,
         potential: PyReadonlyArray2<'_, f64>,
@@ -97,10 +99,11 @@ impl TransportDomain {
     ) -> PyResult<()> {
         let (primal, dual, relaxation, power) = steps;
         let how = Step { primal, dual, relaxation, power };
-        let (weights, before, after, potential) = (vector(&weights)?, table(&before)?.0, table(&after)?.0, table(&potential)?.0);
+        let sizes = [vector(&weights)?, vector(&sizes)?, vector(&mobility)?];
+        let (before, after, potential) = (table(&before)?.0, table(&after)?.0, table(&potential)?.0);
         let (momentum, dual_density) = (written(&mut momentum, py)?, written(&mut dual_density, py)?);
         let dual_momentum = written(&mut dual_momentum, py)?;
-        run::brief(py, || self.domain.step(how, weights, before, after, potential, momentum, dual_density, dual_momentum))
+        run::brief(py, || self.domain.step(how, sizes, before, after, potential, momentum, dual_density, dual_momentum))
     }
 
     /// Repairs of a potential by several ways (passes, share, dilated), one below the other in `out`.
@@ -143,9 +146,18 @@ pub struct SpaceTime {
 #[pymethods]
 impl SpaceTime {
     #[new]
-    fn new(py: Python<'_>, domain: &TransportDomain, intervals: usize, end: Option<f64>, scale: f64, memory: f64) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        domain: &TransportDomain,
+        intervals: usize,
+        end: Option<f64>,
+        nodes: PyReadonlyArray1<'_, f64>,
+        elements: PyReadonlyArray1<'_, f64>,
+        memory: f64,
+    ) -> PyResult<Self> {
         let (domain, ends) = (domain.domain.clone(), end.map_or(Ends::Fixed, Ends::Free));
-        let solver = run::watched(py, None, |control| transport::SpaceTime::new(&domain, intervals, ends, scale, memory, control))?;
+        let mobility = Mobility { nodes: vector(&nodes)?.to_vec(), elements: vector(&elements)?.to_vec() };
+        let solver = run::watched(py, None, |control| transport::SpaceTime::new(&domain, intervals, ends, &mobility, memory, control))?;
         Ok(SpaceTime { domain, solver })
     }
 
