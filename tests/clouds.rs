@@ -224,6 +224,26 @@ fn curves_and_three_spheres() {
     assert!((volume / (2.0 * std::f64::consts::PI.powi(2)) - 1.0).abs() < 0.03, "{volume}");
 }
 
+/// 15 x 15 grid points without the 5 x 5 in the middle: a hole, unless points are expected to be so far apart.
+#[test]
+fn reach_says_what_is_a_hole() {
+    let points: Vec<f64> = (0..225)
+        .map(|i| (i % 15, i / 15))
+        .filter(|(x, y)| !((5..10).contains(x) && (5..10).contains(y)))
+        .flat_map(|(x, y)| [x as f64, y as f64])
+        .collect();
+    let area = |reach: Option<&[f64]>| -> f64 {
+        let options = LocalMeshOptions { reach, ..Default::default() };
+        let mesh = local_mesh(&points, 2, 2, &options, &Control::default()).unwrap();
+        view(&points, 2, &mesh).volumes().iter().zip(&mesh.votes).map(|(area, &votes)| area * f64::from(votes) / 3.0).sum()
+    };
+    assert!((area(None) - 160.0).abs() < 1.0 && (area(Some(&[4.0; 200])) - 196.0).abs() < 1e-9, "{} {}", area(None), area(Some(&[4.0; 200])));
+    for wrong in [vec![1.0; 3], vec![-1.0; 200], vec![f64::NAN; 200]] {
+        let options = LocalMeshOptions { reach: Some(&wrong), ..Default::default() };
+        assert!(matches!(local_mesh(&points, 2, 2, &options, &Control::default()), Err(Error::Input(text)) if text.contains("reach")));
+    }
+}
+
 #[test]
 fn what_is_wrong_is_named() {
     let message = |points: &[f64], ambient: usize, dimension: usize| match local_mesh(

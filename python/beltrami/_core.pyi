@@ -112,6 +112,7 @@ def local_mesh(
     dimension: int,
     neighbors: int | None = None,
     normals: Floats | None = None,
+    reach: Floats | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[Ints, npt.NDArray[np.uint8], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Floats, Floats, Floats, float]: ...
 def local_stiffness(mesh: _SimplexArrays, potential: Floats | None = None) -> _CsrParts: ...

@@ -64,11 +64,12 @@ class CloudOperators(Operators):
 
     shape: PointCloud
 
-    def __init__(self, shape: PointCloud, kind: str, *, neighbors: int | None, progress: Progress) -> None:
+    def __init__(self, shape: PointCloud, kind: str, *, neighbors: int | None, progress: Progress, reach: Floats | None = None) -> None:
         set_ = object.__setattr__
         set_(self, "shape", shape)
         set_(self, "kind", kind)
         set_(self, "_neighbors", neighbors)
+        set_(self, "_reach", reach)
         set_(self, "_reporter", reporter(progress, "operators"))
         set_(self, "notes", ())
 
@@ -79,7 +80,8 @@ class CloudOperators(Operators):
     def _found(self) -> _LocalMesh:
         cloud, d = self.shape, self.shape.dimension
         normals, notes = _usable_normals(cloud)
-        found = _LocalMesh(*_core.local_mesh(cloud.points, d, vars(self)["_neighbors"], normals, vars(self)["_reporter"]))
+        own = vars(self)
+        found = _LocalMesh(*_core.local_mesh(cloud.points, d, own["_neighbors"], normals, own["_reach"], own["_reporter"]))
         for array in found[:-1]:
             array.flags.writeable = False
         notes += _dimension_note(found.estimated_dimension, d)
@@ -88,6 +90,13 @@ class CloudOperators(Operators):
             notes += (f"the stars of {len(wrong)} of {len(found.certified)} points are not certified, the first is {wrong[0]}",)
         object.__setattr__(self, "notes", tuple(dict.fromkeys(self.notes + notes)))
         return found
+
+    def reaching(self, reach: Floats) -> CloudOperators:
+        """The local mesh anew with ``reach=``, unless that was given when these operators were made."""
+        own = vars(self)
+        if own["_reach"] is not None:
+            return self
+        return CloudOperators(self.shape, self.kind, neighbors=own["_neighbors"], progress=None, reach=reach)
 
     @property
     def simplices(self) -> Ints:
@@ -287,11 +296,13 @@ def _dimension_note(estimate: float, dimension: int) -> tuple[str, ...]:
 
 
 def _local_mesh(cloud: PointCloud, mass: str, options: dict[str, Any]) -> Operators:
-    neighbors, progress = options.pop("neighbors", None), options.pop("progress", None)
-    _no_more(options, mass, "local_mesh", "neighbors, progress")
+    neighbors, reach, progress = options.pop("neighbors", None), options.pop("reach", None), options.pop("progress", None)
+    _no_more(options, mass, "local_mesh", "neighbors, reach, progress")
     if neighbors is not None:
         neighbors = arrays.whole(neighbors, "neighbors", cloud.dimension + 1)
-    ops = CloudOperators(cloud, "local_mesh", neighbors=neighbors, progress=progress)
+    if reach is not None:
+        reach = arrays.floats(reach, "reach", (len(cloud.points),))
+    ops = CloudOperators(cloud, "local_mesh", neighbors=neighbors, progress=progress, reach=reach)
     _ = ops.stiffness, ops.mass, ops.spacing  # what is wrong with the cloud is said now
     return ops
 

@@ -43,6 +43,8 @@ Sampling = Literal["any", "gibbs", "weighted", "mixed"]
 
 STEEPEST = 600.0  # β U may exceed its least value by as much: exp(-600) is a number yet
 TAIL = 3e-5  # q closer to 0 or 1 counts as that in the second estimate of the rate
+LEAST_SHARE = 0.2  # colder than a fifth of β samples are not taken for Gibbs samples
+FARTHEST = 4.0  # how many times their measured spacing the points at the outskirts may be apart
 LOST = 1e-6  # how far the two committors' sum may be from 1
 
 
@@ -72,7 +74,12 @@ def _called(function: Callable[[Floats], Any], points: Floats, name: str) -> Flo
 def _members(given: Any, points: Floats, name: str) -> tuple[Mask, Floats | None]:
     """Which points belong to a set, and its level function's values where it is given by one."""
     if callable(given):
-        level = _called(given, points, name)
+        inside = np.asarray(given(points.copy()))
+        if inside.dtype.kind == "b":
+            if inside.shape != (len(points),):
+                raise InputError(f"{name}(points) has shape {inside.shape}, ({len(points)},) is needed")
+            return _members(inside, points, name)
+        level = arrays.floats(inside, f"{name}(points)", (len(points),))
         members = level <= 0
         if not members.any():
             raise InputError(f"{name} is empty: its level function is positive at all {len(points)} points (it is negative inside)")
@@ -82,6 +89,8 @@ def _members(given: Any, points: Floats, name: str) -> tuple[Mask, Floats | None
     array = np.asarray(given)
     if array.size == 0 or (array.dtype.kind == "b" and not array.any()):
         raise InputError(f"{name} is empty; give the points of the set, as a mask, as numbers, or as a level function")
+    if array.dtype.kind in "iuf" and array.shape == (len(points),) and len(points) > 2 and np.isin(array, (0, 1)).all():
+        raise InputError(f"{name} has a 0 or 1 for each point, which could be numbers of points; a mask is given as {name}.astype(bool)")
     members = np.zeros(len(points), bool)
     members[arrays.indices(given, name, len(points))] = True
     return members, None
@@ -135,6 +144,7 @@ class _System:
     weights: Floats  # of the edges
     q: Floats  # at the nodes
     beta: float
+    carried: Floats | None = None  # mass times exp(-β U) that thinned-out points left to the points kept
 
     @property
     def conductance(self) -> Floats:
@@ -143,6 +153,8 @@ class _System:
     @cached_property
     def gibbs(self) -> Floats:
         """Mass times exp(-β U) of each node."""
+        if self.carried is not None:
+            return np.concatenate([self.carried, np.zeros(len(self.q) - self.count)])
         found: Floats = self.mesh.mass * np.exp(-self.mesh.potential)
         return found
 
@@ -253,6 +265,28 @@ def _weak(
     ) from last
 
 
+def _outskirts(ops: CloudOperators, u: Floats) -> Floats | None:
+    """Spacing to be expected at each point where the potential explains the samples' density, as that of Gibbs samples at any temperature.
+
+    Such a cloud ends because U is high, and the large simplices there are no holes: without them a barrier with few samples conducts too
+    little. A line is fitted to log density against β U, outliers counting little; None where it explains less than a half of the
+    scatter, as for uniform samples, which end at a wall.
+    """
+    d, spacing = ops.shape.dimension, ops.point_spacing
+    density = -d * np.log(spacing)
+    terms, weight = np.stack([np.ones_like(u), -u], 1), np.ones(len(u))
+    for _ in range(10):
+        line = np.linalg.lstsq(terms * weight[:, None], density * weight, rcond=None)[0]
+        off = np.abs(density - terms @ line)
+        weight = 1 / np.sqrt(np.maximum(1.0, off / max(3 * float(np.median(off)), 1e-12)))
+    share = float(np.clip(line[1], 0.0, 1.0))  # inverse temperature of the samples, over β
+    if share < LEAST_SHARE or np.square(density - terms @ line).sum() > np.square(density - density.mean()).sum() / 2:
+        return None
+    # beyond its point the density goes on falling
+    expected = (1 + share * share) * np.exp(-(terms @ line) / d)
+    return np.asarray(np.clip(expected, spacing, FARTHEST * spacing), float)
+
+
 def _strong(ops: Operators, u: Floats, a: Mask, b: Mask, circulation: Floats | None, beta: float) -> tuple[Floats, Floats]:
     """q by Δq - grad(β U) · grad q + β circulation · grad q = 0 at each point, and its gradient (n, D)."""
     if not isinstance(ops, CloudOperators):
@@ -309,7 +343,10 @@ def _rotating(system: _System, circulation: Floats, backwards: bool) -> Floats:
     matrix = scipy.sparse.csr_array(scipy.sparse.coo_array((values, (rows, columns)), shape=(n, n)))
     free = np.flatnonzero(~(a | b))
     q = (a if backwards else b).astype(float)
-    scale = 1 / matrix.diagonal()[free]
+    diagonal = matrix.diagonal()[free]
+    if not (diagonal > 0).all():
+        raise NumericalError("the drift of this circulation is too strong for the spacing of the points: nothing leads on from some")
+    scale = 1 / diagonal
     inner = scipy.sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
     q[free] = scipy.sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
     if not np.isfinite(q).all():
@@ -901,35 +938,30 @@ def _current(system: _System, partition: float, backward: Floats | None = None, 
     return found
 
 
-def _recovered(ops: Operators, values: Floats) -> Floats:
-    """Gradient at the points: fitted for clouds, averaged over triangles for meshes."""
-    if isinstance(ops, CloudOperators):
-        return weighted.fit(ops, values).gradients
-    space = ops.coordinates.shape[1]
-    faces = ops.shape.faces  # type: ignore[union-attr]
-    slopes = (ops.simplex_gradient @ values).reshape(-1, space)
-    total = np.bincount(faces.ravel(), np.repeat(ops.simplex_areas, 3), len(values))
-    found = np.stack([np.bincount(faces.ravel(), np.repeat(ops.simplex_areas * s, 3), len(values)) for s in slopes.T], 1)
-    return np.asarray(found / np.where(total > 0, total, 1.0)[:, None], float)
-
-
 def _fluxes(system: _System, partition: float, slabs: int = 8) -> Floats:
-    """Flux through ``slabs`` layers between q = 0.1 and 0.9, by gradients fitted at the points: (slabs,).
+    """Flux through ``slabs`` layers between q = 0.1 and 0.9, by gradients fitted at the points outside A and B: (slabs,).
 
-    Fitted is the normal quantile of q, which is nearly linear across a barrier where q itself is steep.
+    Fitted is q, or its normal quantile, which is nearly linear across a barrier where q itself is steep: the one whose fluxes differ
+    less, as they are all the same in truth.
     """
     mesh, q = system.mesh, system.q
-    quantile = scipy.special.ndtri(np.clip(q[: system.count], TAIL, 1 - TAIL))
-    gradient = system.prolong(_recovered(system.ops, quantile))
-    square = np.square(gradient[mesh.simplices].mean(1)).sum(1)
-    middle = scipy.special.ndtri(np.clip(q[mesh.simplices].mean(1), TAIL, 1 - TAIL))
+    own = q[: system.count]
+    known = (own > TAIL) & (own < 1 - TAIL) & ~(system.sets[0] | system.sets[1])[: system.count]
     # exp(-βU) |grad q| is smooth, exp(-βU) is not: harmonic means along the edges, averaged
-    weight = system.weights[mesh.pairs].mean(1)
-    energy = mesh.volumes * weight * square * np.exp(-middle * middle) / (2 * np.pi * system.beta * partition)
+    weight = mesh.volumes * system.weights[mesh.pairs].mean(1) / (system.beta * partition)
     low, high = q[mesh.simplices].min(1), q[mesh.simplices].max(1)
     width = np.maximum(high - low, 1e-300)
     below = [np.clip((level - low) / width, 0, 1) for level in np.linspace(0.1, 0.9, slabs + 1)]
-    return np.array([(energy * (upper - lower)).sum() for lower, upper in itertools.pairwise(below)]) * slabs / 0.8
+    share = system.prolong(known.astype(float))[mesh.simplices].sum(1)
+    middle = scipy.special.ndtri(np.clip(q[mesh.simplices].mean(1), TAIL, 1 - TAIL))
+    quantile = scipy.special.ndtri(np.clip(own, TAIL, 1 - TAIL))
+    found = []
+    for values, scale in ((own, np.ones(len(weight))), (quantile, np.exp(-middle * middle) / (2 * np.pi))):
+        slopes = weighted.gradients(system.ops, values, known) * known[:, None]
+        gradient = system.prolong(slopes)[mesh.simplices].sum(1)
+        energy = weight * scale * np.square(gradient / np.where(share > 0, share, 1.0)[:, None]).sum(1)
+        found.append(np.array([(energy * (upper - lower)).sum() for lower, upper in itertools.pairwise(below)]) * slabs / 0.8)
+    return min(found, key=lambda flux: float(flux.std() / max(flux.mean(), 1e-300)))
 
 
 def committor(
@@ -961,8 +993,9 @@ def committor(
         U at the points; or a function of (k, D) positions with (k,) values, which is then evaluated between the points too; or None where
         U is to come from the samples (see ``sampling``).
     A, B : array_like of bool (n,), of point numbers, or callable
-        Disjoint sets. A callable is a level function of (k, D) positions, negative inside: edges that cross its rim are cut there. Of other
-        sets the rim is taken to lie half-way to the points around, or at the outermost members where these lie in a row.
+        Disjoint sets. A callable is a level function of (k, D) positions, negative inside: edges that cross its rim are cut there; or a
+        predicate with (k,) bool, which is a mask. Of other sets the rim is taken to lie half-way to the points around, or at the outermost
+        members where these lie in a row.
     beta : float
         Inverse temperature, in one over the units of the potential.
     method : {"weak", "strong"}
@@ -983,7 +1016,8 @@ def committor(
     refine : int, optional
         How often triangles are split in four, U a quadratic on each: 1 for surfaces by default, 0 is faster; surfaces only.
     max_points : int, optional
-        Clouds with more points are thinned out evenly to about so many; q is fitted to the others. Densities count all points.
+        Clouds with more points are thinned out evenly to about so many (no two nearer, and none left out farther from them, than a
+        radius); these carry the masses of the others, and q is fitted there. Densities count all points.
     bootstrap : int
         How many half-samples (without replacement) the error of the rate is estimated from; 0 for none. Clouds only.
     block : int
@@ -1049,17 +1083,24 @@ def committor(
     kept = None
     if max_points is not None:
         kept = _thinned(ops, arrays.whole(max_points, "max_points", 10), a, b)
+    carried, base = None, np.zeros(0, np.int64)
     if kept is not None:
         assert isinstance(given, PointCloud)
+        base = nearest_neighbors(points[kept], points, 1)[0][:, 0].astype(np.int64)
+        carried = np.bincount(base, ops.mass * np.exp(-u), len(kept)).astype(float)
         normals = None if given.normals is None else given.normals[kept]
         ops = operators(PointCloud(points[kept], dimension=given.dimension, normals=normals))
     part_of = slice(None) if kept is None else kept
+    if method == "weak" and isinstance(ops, CloudOperators) and not isinstance(ops, LeastSquaresOperators):
+        reach = _outskirts(ops, u[part_of])
+        if reach is not None:
+            ops = ops.reaching(reach)
 
     def exact(places: Floats) -> Floats:
         return beta * (_called(function, places, "potential") - least)  # type: ignore[arg-type]
 
-    def level_of(given: Any, name: str) -> Function | None:
-        return (lambda places: _called(given, places, name)) if callable(given) else None
+    def level_of(given: Any, level: Floats | None, name: str) -> Function | None:
+        return None if level is None else (lambda places: _called(given, places, name))
 
     if refine is None:
         levels = 1 if _dimension(ops) == 2 and method == "weak" else 0
@@ -1068,10 +1109,12 @@ def committor(
         if levels and (_dimension(ops) != 2 or method != "weak"):
             raise InputError(f"refine is {levels}; triangles are split, and only in the weak form")
     system = _weak(
-        ops, u[part_of], None if function is None else exact, (a[part_of], b[part_of]), (level_of(A, "A"), level_of(B, "B")),
+        ops, u[part_of], None if function is None else exact, (a[part_of], b[part_of]),
+        (level_of(A, level_a, "A"), level_of(B, level_b, "B")),
         tuple(None if level is None else level[part_of] for level in (level_a, level_b)), beta, levels,
         part(report, 0.4 / (1 + replicates), 1.0 / (1 + replicates)),
     )  # fmt: skip
+    system = replace(system, carried=carried)
     outside = 0.0
     partition = float(system.gibbs.sum())
     jump = system.q[system.mesh.first] - system.q[system.mesh.second]
@@ -1094,7 +1137,6 @@ def committor(
     current = _current(system, partition, backward if drift is not None else None, drift[part_of] if drift is not None else None)
     q, q_backward = system.q[: system.count].copy(), backward[: system.count].copy()
     if kept is not None:
-        base = nearest_neighbors(points[kept], points, 1)[0][:, 0]
         q, q_backward = (_extended(ops, values, points, base, a, b, one) for values, one in ((q, b), (q_backward, a)))
         current = current[base]
         current[a | b] = 0

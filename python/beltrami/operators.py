@@ -157,7 +157,9 @@ def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: 
     mass : {"lumped", "voronoi"}
         A third of the adjacent areas at each vertex, or mixed Voronoi areas (Meyer et al. 2003). Both sum to the area.
     **options
-        For clouds. ``neighbors=`` (int): how many each point starts from. ``progress=``. And of ``"mls"``: ``degree=`` (2) of the
+        For clouds. ``neighbors=`` (int): how many each point starts from. ``progress=``. Of ``"local_mesh"``: ``reach=`` (n,), the
+        distance to the 6th neighbour that is to be expected at each point (the measured one by default), in units of length; simplices
+        that are large beside it count as holes. And of ``"mls"``: ``degree=`` (2) of the
         polynomials, ``weight=`` ("special", "gaussian", "wendland" or "uniform"), ``constrained=`` (True): rows free of negative
         off-diagonal entries wherever that is possible.
 

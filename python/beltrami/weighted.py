@@ -27,6 +27,8 @@ Mask = npt.NDArray[np.bool_]
 
 STEEP = 0.75  # a neighbour whose normal component is a greater part of its distance lies on another sheet, as in the core
 FIT = {1: 8, 2: 24, 3: 48}  # neighbours of the polynomial fits, by dimension
+RIDGE = 1e-3  # how much of their own size is added to the squares of the fits' cubic terms; quadratic ones get its square
+DOUBT = 2.0  # so far, in units of kT, what both ends of an edge say of U at its middle may be apart
 CHUNK = 16384  # points fitted at a time: a bound on memory
 SHORTEST = 0.05  # least share of an edge that is left by the cut at the rim of A or B
 ON_RIM = 0.05  # points of a set count as lying on its rim if they are this straight, in units of the spacing
@@ -72,8 +74,8 @@ def monomials(t: Floats, degree: int) -> Floats:
     return np.stack(columns, -1)
 
 
-def fit(ops: CloudOperators, values: Floats, degree: int = 3) -> Fit:
-    """Fits a function at every point of a cloud."""
+def fit(ops: CloudOperators, values: Floats, degree: int = 3, known: Mask | None = None) -> Fit:
+    """Fits a function at every point of a cloud, to the neighbours that are ``known`` (all by default)."""
     points, frames, d = ops.shape.points, ops.frames, ops.shape.dimension
     count = min(FIT[d], len(points) - 1)
     while degree > 1 and math.comb(d + degree, d) - 1 > 0.7 * count:
@@ -83,6 +85,10 @@ def fit(ops: CloudOperators, values: Floats, degree: int = 3) -> Fit:
     terms = math.comb(d + degree, d) - 1
     coefficients = np.empty((len(points), terms))
     diagonal = np.arange(terms)
+    # what few points beside each other cannot tell is flat: cubic terms give way to quadratic ones, these to linear ones
+    ridge = np.full(terms, RIDGE)
+    ridge[:d] = 0.0
+    ridge[d : d + d * (d + 1) // 2] = RIDGE * RIDGE
     for start in range(0, len(points), CHUNK):
         part = slice(start, min(start + CHUNK, len(points)))
         near, distance = indices[part], distances[part]
@@ -91,12 +97,14 @@ def fit(ops: CloudOperators, values: Floats, degree: int = 3) -> Fit:
         square = np.square(distance)
         same_sheet = np.square(t).sum(2) >= (1 - STEEP * STEEP) * square
         weight = np.exp(-3.0 * square / np.square(reach[part])[:, None]) * same_sheet
+        if known is not None:
+            weight = weight * known[near]
         basis = monomials(t / reach[part][:, None, None], degree)
         weighted = basis * weight[:, :, None]
         matrix = np.matmul(weighted.transpose(0, 2, 1), basis)
         right = np.matmul(weighted.transpose(0, 2, 1), (values[near] - values[part, None])[:, :, None])
-        # rank-deficient neighbourhoods get the least coefficients
-        matrix[:, diagonal, diagonal] += 1e-9 * np.maximum(np.trace(matrix, axis1=1, axis2=2), 1e-300)[:, None]
+        size = np.maximum(np.trace(matrix, axis1=1, axis2=2), 1e-300)[:, None]
+        matrix[:, diagonal, diagonal] += ridge * matrix[:, diagonal, diagonal] + 1e-9 * size
         coefficients[part] = np.linalg.solve(matrix, right)[:, :, 0]
     return Fit(points, frames, values, reach, coefficients, degree)
 
@@ -251,31 +259,38 @@ def elements(ops: Operators, potential: Floats, exact: Function | None, levels: 
     return replace(found, bow=_bows(ops, found, exact))
 
 
-def _bows(ops: Operators, mesh: Elements, exact: Function | None) -> Floats:
-    i, j = mesh.first, mesh.second
-    mean = (mesh.potential[i] + mesh.potential[j]) / 2
-    if exact is not None:
-        return exact(middles(ops, mesh)) - mean
+def gradients(ops: Operators, values: Floats, known: Mask | None = None) -> Floats:
+    """(n, D): gradient at the points, fitted for clouds, averaged over triangles for meshes; from the values that are ``known``."""
     if isinstance(ops, CloudOperators):
-        fitted, middle = fit(ops, mesh.potential), (mesh.points[i] + mesh.points[j]) / 2
-        return _agreed(fitted.at(i, middle) - mean, fitted.at(j, middle) - mean)
-    # vertices of a mesh: the gradients of the triangles around, averaged
-    space = mesh.points.shape[1]
-    slopes = (ops.simplex_gradient @ mesh.potential).reshape(-1, space)
+        return fit(ops, values, known=known).gradients
+    if not isinstance(ops.shape, TriangleMesh):
+        raise InputError(f"no gradients at the points of laplacian={ops.kind!r}")
+    faces, space = ops.shape.faces, ops.coordinates.shape[1]
+    slopes = (ops.simplex_gradient @ values).reshape(-1, space)
     areas = ops.simplex_areas
-    faces = ops.shape.faces if isinstance(ops.shape, TriangleMesh) else mesh.simplices
-    if len(slopes) != len(faces):
+    if known is not None:
+        areas = areas * known[faces].all(1)
+    total = np.bincount(faces.ravel(), np.repeat(areas, 3), len(values))
+    found = np.stack([np.bincount(faces.ravel(), np.repeat(areas * s, 3), len(values)) for s in slopes.T], 1)
+    return np.asarray(found / np.where(total > 0, total, 1.0)[:, None], float)
+
+
+def _bows(ops: Operators, mesh: Elements, exact: Function | None) -> Floats:
+    """How far U at the middles exceeds the mean of the ends: of the cubic along the edge with U's values and slopes at both."""
+    i, j = mesh.first, mesh.second
+    rise = mesh.potential[j] - mesh.potential[i]
+    if exact is not None:
+        return exact(middles(ops, mesh)) - (mesh.potential[i] + mesh.potential[j]) / 2
+    if not isinstance(ops, CloudOperators) and len(ops.simplex_areas) != len(ops.shape.faces):  # type: ignore[union-attr]
         return np.zeros(len(i))
-    total = np.bincount(faces.ravel(), np.repeat(areas, 3), len(mesh.points))
-    sums = np.stack([np.bincount(faces.ravel(), np.repeat(areas * s, 3), len(mesh.points)) for s in slopes.T], 1)
-    gradient = sums / np.where(total > 0, total, 1.0)[:, None]
-    step, rise = mesh.points[j] - mesh.points[i], mesh.potential[j] - mesh.potential[i]
-    along = np.einsum("ed,ed->e", gradient[i], step), np.einsum("ed,ed->e", gradient[j], step)
-    return _agreed((along[0] - rise) / 4, (rise - along[1]) / 4)
+    slopes, step = gradients(ops, mesh.potential), mesh.points[j] - mesh.points[i]
+    one, other = (np.einsum("eD,eD->e", slopes[i], step) - rise) / 4, (rise - np.einsum("eD,eD->e", slopes[j], step)) / 4
+    trusted = np.abs(one - other) <= DOUBT + np.abs(one + other) / 2
+    return np.where(trusted, (one + other) / 2, _agreed(one, other))
 
 
 def _agreed(one: Floats, other: Floats) -> Floats:
-    """The mean where the fits of both ends agree, near the smaller one where not, 0 where their signs differ (van Albada's limiter)."""
+    """The mean where both agree, near the smaller one where not, 0 where their signs differ (van Albada's limiter)."""
     product = one * other
     square = one * one + other * other
     found: Floats = np.where(product > 0, product * (one + other) / np.where(square > 0, square, 1.0), 0.0)

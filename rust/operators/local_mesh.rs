@@ -36,6 +36,9 @@ pub struct LocalMeshOptions<'a> {
     /// Outward normals, D numbers a point: points whose normals oppose each other are never neighbours, which keeps the two sides of
     /// thin parts apart.
     pub normals: Option<&'a [f64]>,
+    /// The distance to the 6th neighbour that is to be expected at each point, for which the measured one is taken otherwise: how large
+    /// simplices may be. Who knows that samples grow rare where the cloud ends, and why, says so here.
+    pub reach: Option<&'a [f64]>,
 }
 
 /// Simplices voted for by the stars of a cloud's points, and what is known about each point.
@@ -111,9 +114,21 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
         return Err(Error::input(format!("{width} neighbours; a star of dimension {dimension} needs {} or more", dimension + 1)));
     }
     let frames = Frames::new(&cloud, dimension, width, control, 0.1, 0.5)?;
-    let stars = Stars::new(&cloud, &frames, control, 0.5, 0.95)?;
-    let (simplices, votes) = stars.simplices(&cloud, &frames);
-    let boundary = stars.open(&cloud, &frames);
+    let reach = match options.reach {
+        None => frames.spacing.clone(),
+        Some(given) if given.len() != cloud.count() => {
+            return Err(Error::input(format!("reach has {} numbers, the cloud {} points", given.len(), cloud.count())));
+        }
+        Some(given) => {
+            if let Some(at) = given.iter().position(|&x| !(x > 0.0 && x.is_finite())) {
+                return Err(Error::input(format!("reach[{at}] is {}; it must be positive and finite", given[at])));
+            }
+            cloud.original.iter().map(|&point| given[point as usize] * cloud.scale).collect()
+        }
+    };
+    let stars = Stars::new(&cloud, &frames, reach, control, 0.5, 0.95)?;
+    let (simplices, votes) = stars.simplices(&cloud);
+    let boundary = stars.open(&cloud);
     let restore = |by_rank: &dyn Fn(usize) -> bool| -> Vec<bool> { cloud.rank.iter().map(|&rank| by_rank(rank as usize)).collect() };
     let size = dimension * ambient;
     let mut axes = vec![0.0; cloud.count() * size];
@@ -163,6 +178,7 @@ type StarsOfTask = (Vec<u32>, Vec<Facet>, Vec<(bool, bool)>);
 /// The stars of all points, by rank.
 struct Stars {
     dimension: usize,
+    reach: Vec<f64>,
     starts: Vec<usize>,
     facets: Vec<Facet>,
     certified: Vec<bool>,
@@ -170,7 +186,7 @@ struct Stars {
 }
 
 impl Stars {
-    fn new(cloud: &Cloud, frames: &Frames, control: &Control, from: f64, to: f64) -> Result<Stars> {
+    fn new(cloud: &Cloud, frames: &Frames, reach: Vec<f64>, control: &Control, from: f64, to: f64) -> Result<Stars> {
         let dimension = frames.dimension;
         let progress = Progress::new(cloud.count(), from, to, control);
         let heights: Vec<f64> =
@@ -181,7 +197,7 @@ impl Stars {
                 let range = task * TASK..((task + 1) * TASK).min(cloud.count());
                 let (mut counts, mut facets, mut flags) = (vec![], vec![], vec![]);
                 for rank in range.clone() {
-                    flags.push(work.star(cloud, frames, &heights, rank)?);
+                    flags.push(work.star(cloud, frames, &reach, &heights, rank)?);
                     counts.push(work.facets.len() as u32);
                     facets.extend_from_slice(&work.facets);
                 }
@@ -201,7 +217,7 @@ impl Stars {
             certified.extend(flags.iter().map(|flag| flag.0));
             open.extend(flags.iter().map(|flag| flag.1));
         }
-        Ok(Stars { dimension, starts, facets, certified, open })
+        Ok(Stars { dimension, reach, starts, facets, certified, open })
     }
 
     fn of(&self, rank: usize) -> &[Facet] {
@@ -241,10 +257,10 @@ impl Stars {
     }
 
     /// Whether a simplex is small enough for its place, and no sliver without a gradient.
-    fn fits(&self, cloud: &Cloud, frames: &Frames, simplex: &[u32; 4]) -> bool {
+    fn fits(&self, cloud: &Cloud, simplex: &[u32; 4]) -> bool {
         let corners = &simplex[..=self.dimension];
         let mut spacing = [0.0; 4];
-        corners.iter().zip(&mut spacing).for_each(|(&corner, slot)| *slot = frames.spacing[corner as usize]);
+        corners.iter().zip(&mut spacing).for_each(|(&corner, slot)| *slot = self.reach[corner as usize]);
         spacing[..corners.len()].sort_unstable_by(f64::total_cmp);
         let middle = (spacing[(corners.len() - 1) / 2] + spacing[corners.len() / 2]) / 2.0;
         let element = Element::new(&cloud.points, cloud.ambient, corners);
@@ -252,7 +268,7 @@ impl Stars {
     }
 
     /// All simplices with their votes, in the user's numbering and lexicographic order.
-    fn simplices(&self, cloud: &Cloud, frames: &Frames) -> (Vec<u32>, Vec<u8>) {
+    fn simplices(&self, cloud: &Cloud) -> (Vec<u32>, Vec<u8>) {
         let size = self.dimension + 1;
         let mut found: Vec<([u32; 4], u8)> = (0..cloud.count())
             .into_par_iter()
@@ -261,7 +277,7 @@ impl Stars {
                 self.of(rank).iter().filter_map(move |facet| {
                     let simplex = self.simplex(rank, facet);
                     let votes = self.votes(rank, &simplex);
-                    (votes > 0 && self.fits(cloud, frames, &simplex)).then_some((simplex, votes))
+                    (votes > 0 && self.fits(cloud, &simplex)).then_some((simplex, votes))
                 })
             })
             .collect();
@@ -294,7 +310,7 @@ impl Stars {
     }
 
     /// Whether each point's star is open once large simplices are dropped: some ridge of its link is in one facet only.
-    fn open(&self, cloud: &Cloud, frames: &Frames) -> Vec<bool> {
+    fn open(&self, cloud: &Cloud) -> Vec<bool> {
         (0..cloud.count())
             .into_par_iter()
             .with_min_len(TASK)
@@ -303,7 +319,7 @@ impl Stars {
                     return true;
                 }
                 ridges.clear();
-                for facet in self.of(rank).iter().filter(|facet| self.fits(cloud, frames, &self.simplex(rank, facet))) {
+                for facet in self.of(rank).iter().filter(|facet| self.fits(cloud, &self.simplex(rank, facet))) {
                     let [a, b, c] = facet.corners;
                     match self.dimension {
                         1 => ridges.push([0, 0]),
@@ -320,23 +336,23 @@ impl Stars {
 
 impl StarWork {
     /// Finds the star of one point; whether it is certified, and whether it is open.
-    fn star(&mut self, cloud: &Cloud, frames: &Frames, heights: &[f64], rank: usize) -> Result<(bool, bool)> {
+    fn star(&mut self, cloud: &Cloud, frames: &Frames, reach: &[f64], heights: &[f64], rank: usize) -> Result<(bool, bool)> {
         let dimension = frames.dimension;
         let mut width = frames.width;
         self.found.clear();
         self.found.extend_from_slice(frames.neighbors(rank));
         // No simplex larger than this will be kept: the second largest spacing bounds the median of any corners' spacings.
         self.around.clear();
-        self.around.push(frames.spacing[rank]);
-        self.around.extend(self.found.iter().map(|&neighbor| frames.spacing[neighbor as usize]));
+        self.around.push(reach[rank]);
+        self.around.extend(self.found.iter().map(|&neighbor| reach[neighbor as usize]));
         self.around.sort_unstable_by(|x, y| y.total_cmp(x));
         let limit = radius_factor(dimension) * self.around[1] * (1.0 + 1e-9);
         loop {
-            let reach = self.coordinates(cloud, frames, heights, rank);
+            let farthest = self.coordinates(cloud, frames, heights, rank);
             let open = self.hull.facets(&self.inverted, &self.flat, dimension, &mut self.facets);
             let most = self.facets.iter().map(|facet| facet.radius.min(limit)).fold(if open { limit } else { 0.0 }, f64::max);
             let all = width >= cloud.count() - 1;
-            let certified = all || reach >= 2.0 * most;
+            let certified = all || farthest >= 2.0 * most;
             if certified || width >= MOST {
                 self.finish(dimension, limit);
                 return Ok((certified, open));

@@ -158,6 +158,43 @@ def test_circulation_leaves_the_density_and_turns_the_committors() -> None:
     assert np.abs(r.q_backward - (1 - mirrored.q)).max() < 1e-12
 
 
+def annulus(count: int, seed: int) -> Floats:
+    """Uniform on 0.7 < r < 3.6."""
+    rng = np.random.default_rng(seed)
+    angle, r = rng.uniform(-np.pi, np.pi, count), np.sqrt(rng.uniform(0.49, 12.96, count))
+    return np.c_[r * np.cos(angle), r * np.sin(angle)]
+
+
+def test_both_estimates_agree_without_a_barrier() -> None:
+    """U = 0 between circles of radius 1 and 3: q = log r / log 3. The sets' kinks once spoiled the gradients of the second estimate."""
+    x = annulus(2000, 1)
+    q = np.clip(np.log(np.linalg.norm(x, axis=1)) / np.log(3), 0, 1)
+    r = bt.committor(
+        bt.PointCloud(x), np.zeros(2000), lambda p: np.linalg.norm(p, axis=1) - 1, lambda p: 3 - np.linalg.norm(p, axis=1), beta=1.0
+    )
+    assert np.abs(r.q - q).max() < 3e-3
+    assert r.rate == pytest.approx(2 * np.pi / np.log(3) / (np.pi * (12.96 - 0.49)), rel=0.06)  # the cloud's rim lacks half a spacing
+    assert abs(r.rate_flux - r.rate) < 2 * r.rate_flux_error < 0.02 * r.rate
+    assert r.verdict == "sound"
+
+
+def test_cold_samples_end_where_the_potential_is_high() -> None:
+    """Gibbs samples of U = (x² - 1)² + y² at β = 5: few at the barrier, and gaps there are no holes (9 % low on average)."""
+    beta, edge, off = 5.0, 0.7, []
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    well = lambda t: (t * t - 1) ** 2  # noqa: E731
+    rate = 1 / (beta * edge * (weights * np.exp(beta * well(edge * nodes))).sum() * 3 * (weights * np.exp(-beta * well(3 * nodes))).sum())
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        t = rng.uniform(-2, 2, 60_000)
+        t = t[rng.random(len(t)) < np.exp(-beta * well(t))][:2000]
+        x = np.c_[t, rng.normal(size=2000) / np.sqrt(2 * beta)]
+        r = bt.committor(bt.PointCloud(x), well(t) + x[:, 1] ** 2, t < -edge, t > edge, beta=beta)
+        off.append(r.rate / rate - 1)
+    assert abs(np.mean(off)) < 0.03
+    assert np.sqrt(np.mean(np.square(off))) < 0.05
+
+
 # --- convergence -------------------------------------------------------------------------------------------------------------------
 
 
@@ -172,6 +209,19 @@ def test_second_order_in_the_spacing(refine: int) -> None:
     assert np.polyfit(np.log(spacings), np.log(errors), 1)[0] > 1.7
 
 
+def test_middles_of_edges_have_the_potential_of_smooth_functions() -> None:
+    """Quadratics to the ridge of the fits; of exp(x - y) the error of a cubic along edges of 0.05."""
+    x = np.random.default_rng(24).random((1500, 2))
+    ops = bt.operators(bt.PointCloud(x))
+    ones = np.ones(len(x))
+    quadratic = lambda p: 3 * p[:, 0] ** 2 - 5 * p[:, 0] * p[:, 1] + p[:, 1]  # noqa: E731
+    for function, bar in ((quadratic, 1e-7), (lambda p: np.exp(p[:, 0] - p[:, 1]), 1e-4)):
+        mesh = weighted.elements(ops, function(x), None, (ones, ones))
+        middle = (x[mesh.first] + x[mesh.second]) / 2
+        off = mesh.bow - function(middle) + (mesh.potential[mesh.first] + mesh.potential[mesh.second]) / 2
+        assert np.sqrt(np.mean(off**2)) < bar
+
+
 def test_level_functions_cut_edges_where_the_rim_is() -> None:
     """Rims between the points: without the cut the error is of first order, some 2e-2 here."""
     x, u, _, _ = strip(24, 5)
@@ -180,6 +230,12 @@ def test_level_functions_cut_edges_where_the_rim_is() -> None:
     q, rate = exact(x[:, 0], 4.0, edge)
     assert np.abs(r.q - q).max() < 1e-3
     assert r.rate == pytest.approx(rate, rel=3e-3)
+
+
+def test_predicates_are_masks() -> None:
+    x, u, a, b = strip(12, 26)
+    r = bt.committor(bt.PointCloud(x), u, lambda p: p[:, 0] <= -EDGE + 1e-9, lambda p: p[:, 0] >= EDGE - 1e-9, beta=4.0)
+    np.testing.assert_array_equal(r.q, bt.committor(bt.PointCloud(x), u, a, b, beta=4.0).q)
 
 
 # --- property ----------------------------------------------------------------------------------------------------------------------
@@ -298,6 +354,18 @@ def test_reweighting_of_one_temperature_is_the_boltzmann_factor() -> None:
     np.testing.assert_allclose(weights, np.exp(-2 * energy) / np.exp(-2 * energy).sum(), rtol=1e-12)
 
 
+def test_thinning_carries_masses() -> None:
+    """600 of 12,000 points: Z is summed over all of them."""
+    x = torus(12_000, 25)
+    a, b = ends(x)
+    full = bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0)
+    thin = bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0, max_points=600)
+    middle = np.abs(full.q - 0.5) < 0.2
+    density = [np.median((r.reactive_density / (r.q * r.q_backward))[middle] / np.exp(-r.potential[middle])) for r in (full, thin)]
+    assert density[1] == pytest.approx(density[0], rel=2e-3)  # 7e-3 without
+    assert thin.rate == pytest.approx(full.rate, rel=0.03)
+
+
 def test_thinning_keeps_the_answer() -> None:
     x = torus(6000, 16)
     a, b = ends(x)
@@ -376,6 +444,7 @@ def test_refusals_say_what_and_where() -> None:
         (bt.InputError, r"potential\[7\] is nan", (cloud, broken, a, b)),
         (bt.InputError, "shape", (cloud, u[:-1], a, b)),
         (bt.InputError, "numbered from 0", (cloud, u, a, [n])),
+        (bt.InputError, r"A\.astype\(bool\)", (cloud, u, a.astype(int), b)),
         (bt.NumericalError, "point 11", (cloud, steep, a, b)),
         (bt.InputError, "sampling=", (cloud, None, a, b)),
         (bt.InputError, r"potential\(points\)", (cloud, lambda p: p, a, b)),

@@ -33,19 +33,21 @@ type LocalMeshParts<'py> = (
 
 /// Simplices, votes, certified, boundary, spacing, frames (n, d D), second fundamental form (n, d (d + 1) / 2 D), estimated dimension.
 #[pyfunction]
-#[pyo3(signature = (points, dimension, neighbors = None, normals = None, progress = None))]
+#[pyo3(signature = (points, dimension, neighbors = None, normals = None, reach = None, progress = None))]
 pub fn local_mesh<'py>(
     py: Python<'py>,
     points: PyReadonlyArray2<'py, f64>,
     dimension: usize,
     neighbors: Option<usize>,
     normals: Option<PyReadonlyArray2<'py, f64>>,
+    reach: Option<PyReadonlyArray1<'py, f64>>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<LocalMeshParts<'py>> {
     let (numbers, ambient) = table(&points)?;
     let normals = normals.as_ref().map(table).transpose()?.map(|normals| normals.0);
+    let reach = reach.as_ref().map(vector).transpose()?;
     let mesh = run::watched(py, progress.as_ref(), |control| {
-        beltrami::operators::local_mesh(numbers, ambient, dimension, &LocalMeshOptions { neighbors, normals }, control)
+        beltrami::operators::local_mesh(numbers, ambient, dimension, &LocalMeshOptions { neighbors, normals, reach }, control)
     })?;
     Ok((
         table_out(py, mesh.simplices.into_iter().map(|corner| corner as i32).collect(), dimension + 1)?,
