@@ -133,3 +133,7 @@ __all__ = [
     "wasserstein_barycenter",
     "wks",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__  # what a person may use, when a tab asks

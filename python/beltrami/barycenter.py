@@ -77,7 +77,7 @@ class BarycenterResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, a picture to ``.png`` or ``.html``."""
-        path = Path(path)
+        path = arrays.file(path, "path")
         if path.suffix.lower() in (".png", ".html"):
             self.plot(path=path)
         elif path.suffix.lower() == ".npz":

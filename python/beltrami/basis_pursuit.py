@@ -574,7 +574,7 @@ class ConformalRegistrationResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the point map to ``.csv`` (source, target, confidence), a picture to ``.png`` or ``.html``."""
-        path = Path(path)
+        path = arrays.file(path, "path")
         suffix = path.suffix.lower()
         if suffix in (".png", ".html"):
             self.plot(path=path)

@@ -809,7 +809,7 @@ class CommittorResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, a row a point to ``.csv``, or a picture to ``.png`` or ``.html``."""
-        file = Path(path)
+        file = arrays.file(path, "path")
         suffix = file.suffix.lower()
         if suffix in (".png", ".html"):
             self.plot(path=file)

@@ -38,6 +38,11 @@ __all__ = ["SphericalMapResult", "spherical_map"]
 # --- the result ---------------------------------------------------------------------------------------------------------------------
 
 
+def _needed(value: Any, name: str, kind: type) -> None:
+    if not isinstance(value, kind):
+        raise InputError(f"{name} is a {type(value).__name__}; a {kind.__name__} is needed")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SphericalMapResult:
     """A map of a shape to the unit sphere, with what certifies it.
@@ -167,6 +172,7 @@ class SphericalMapResult:
         >>> fine.aligned_to(coarse, fine.shape.vertices, coarse.shape.vertices).map_to(coarse).points.shape
         (642, 3)
         """
+        _needed(other, "other", SphericalMapResult)
         return spherical.surface_map(self.positions, other.positions, other.faces, other._source)
 
     def turned(self, rotation: npt.ArrayLike) -> SphericalMapResult:
@@ -184,6 +190,7 @@ class SphericalMapResult:
         NumericalError
             What the map crowds together rounds away.
         """
+        _needed(moebius, "moebius", Moebius)
         faces = self.faces.astype(np.int64)
         weights = None
         if isinstance(self.shape, PointCloud):
@@ -228,6 +235,7 @@ class SphericalMapResult:
         -----
         4000 rotations spread evenly are tried on a sample of points, the best five are refined to 0.002 radians.
         """
+        _needed(other, "other", SphericalMapResult)
         if (values is None) != (other_values is None):
             raise InputError("give values of both maps, or of neither")
         pairs = []

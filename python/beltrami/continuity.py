@@ -566,9 +566,7 @@ class Splitting:
     """Primal-dual splitting (Chambolle and Pock) with the exact projection on the continuity equation on one side, the exact
     projection of the perspective function on the other, and a block of the vertices for ρ >= 0 and the costs of being somewhere."""
 
-    def __init__(
-        self, model: Model, *, metric: Metric | None = None, start: Splitting | None = None, ratio: float | None = None
-    ) -> None:
+    def __init__(self, model: Model, *, metric: Metric | None = None, start: Splitting | None = None, ratio: float | None = None) -> None:
         self.model, self.metric = model, model.plain if metric is None else metric
         q = model.density / model.problem.mass  # how much denser than the mean the mass is
         stiff = model.running is not None and model.running.superlinear

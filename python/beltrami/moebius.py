@@ -43,7 +43,10 @@ class Moebius:
     matrix: Complex
 
     def __post_init__(self) -> None:
-        matrix = np.array(self.matrix, np.complex128)
+        try:
+            matrix = np.array(self.matrix, np.complex128)
+        except (TypeError, ValueError):
+            raise InputError(f"matrix is {self.matrix!r}; (2, 2) finite complex numbers are needed") from None
         if matrix.shape != (2, 2) or not np.isfinite(matrix).all():
             raise InputError(f"matrix has shape {matrix.shape}; (2, 2) finite complex numbers are needed")
         largest = np.abs(matrix).max()

@@ -700,7 +700,7 @@ class RegistrationResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the point map to ``.csv`` (source, target), a picture to ``.png`` or ``.html``."""
-        path = Path(path)
+        path = arrays.file(path, "path")
         suffix = path.suffix.lower()
         if suffix in (".png", ".html"):
             self.plot(path=path)

@@ -272,7 +272,7 @@ class SegmentationResult:
         """Writes everything to ``.npz``; the shape with labels and memberships to ``.ply``; a picture to ``.png`` or ``.html``;
         the contours to ``.obj`` (lines), or to ``.csv`` (line, closed, coordinates). :meth:`save_contours` writes them to ``.ply``.
         """
-        path = Path(path)
+        path = arrays.file(path, "path")
         suffix = path.suffix.lower()
         if suffix in (".png", ".html"):
             self.plot(path=path)
@@ -290,7 +290,7 @@ class SegmentationResult:
 
     def save_contours(self, path: str | os.PathLike[str]) -> Path:
         """Writes the contours: ``.obj`` with lines, ``.ply`` with vertices and edges, ``.csv`` with a point a row."""
-        path = Path(path)
+        path = arrays.file(path, "path")
         suffix = path.suffix.lower()
         points, number = _stack(self), 0
         if suffix in (".obj", ".ply") and points.shape[1] > 3:
@@ -824,7 +824,7 @@ class DenoisingResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the shape with the image to ``.ply``, a picture to ``.png`` or ``.html``."""
-        path = Path(path)
+        path = arrays.file(path, "path")
         suffix = path.suffix.lower()
         if suffix in (".png", ".html"):
             self.plot(path=path)

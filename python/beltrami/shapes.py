@@ -28,6 +28,8 @@ Data = Mapping[str, npt.NDArray[Any]]
 
 def _frozen_data(data: Mapping[str, Any] | None, count: int, what: str) -> Data:
     kept = {}
+    if data is not None and not isinstance(data, Mapping):
+        raise InputError(f"data is {data!r}; a dict of arrays is needed, one row a {what}")
     for name, values in (data or {}).items():
         array = arrays.anything(values, f"data[{name!r}]")
         if array.shape[:1] != (count,):

@@ -187,7 +187,7 @@ class SkeletonResult:
         FileError
             The file cannot be written.
         """
-        path = Path(path)
+        path = arrays.file(path, "path")
         suffix = path.suffix.lower()
         if suffix in (".png", ".html"):
             self.plot(path=path)

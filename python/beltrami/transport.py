@@ -225,11 +225,13 @@ class Flow:
         from .film import film
         from .view import plot
 
-        chosen = np.linspace(0, 1, arrays.whole(times, "times", 1)) if isinstance(times, int) else np.asarray(list(times), float)
+        chosen = np.linspace(0, 1, arrays.whole(times, "times", 1)) if isinstance(times, int) else arrays.floats(times, "times", (None,))
+        if len(chosen) == 0:
+            raise InputError("times is empty; name at least one")
         fields = {f"t = {t:.3g}": self.interpolate(float(t)) for t in chosen}
         high = max(float(field.max()) for field in fields.values())
         look: dict[str, Any] = {"limits": (0.0, high), "colormap": DENSITY_COLOURS, **options}
-        if path is None or Path(path).suffix.lower() != ".html":
+        if path is None or arrays.file(path, "path").suffix.lower() != ".html":
             return plot(self.shape, fields, path=path, **look)
         look = {"size": (1000, 760), "label": "density", **look}
         frames = [plot(self.shape, field, **look) for field in fields.values()]  # pictures, as no path is given
@@ -238,7 +240,7 @@ class Flow:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the shape with the densities of all times to ``.ply``, pictures to ``.png`` or ``.html``."""
-        path = Path(path)
+        path = arrays.file(path, "path")
         suffix = path.suffix.lower()
         if suffix in (".png", ".html"):
             self.plot(path=path, **({"times": min(self.intervals + 1, 33)} if suffix == ".html" else {}))

@@ -113,7 +113,7 @@ class Page:
 
 
 def _write(path: str | os.PathLike[str], content: bytes) -> Path:
-    path = Path(path)
+    path = arrays.file(path, "path")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)

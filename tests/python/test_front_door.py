@@ -180,6 +180,29 @@ def test_results_follow_one_pattern(tmp_path: Any) -> None:
             result.save(tmp_path / "what.xyz")
         with pytest.raises(bt.FileError, match="cannot be written"):
             result.save(tmp_path / "no" / "such" / "folder.npz")
+        for wrong in (None, 3, ["a.npz"]):
+            with pytest.raises(bt.InputError, match=r"path is .* a str or PathLike is needed"):
+                result.save(wrong)
+
+
+def test_members_refuse_in_words() -> None:
+    ball, flow = bt.spherical_map(SPHERE), bt.transport(SPHERE, *DENSITIES, intervals=2, max_iterations=5)
+    for call in (
+        lambda wrong: bt.TriangleMesh(SPHERE.vertices, SPHERE.faces, data=wrong),
+        lambda wrong: bt.PointCloud(SPHERE.vertices, data=wrong),
+        bt.Moebius,
+        ball.map_to,
+        ball.aligned_to,
+        ball.moved,
+        lambda wrong: flow.plot(times=wrong, size=(40, 30)),
+        lambda wrong: flow.plot(path=wrong, size=(40, 30)),
+        flow.interpolate,
+    ):
+        for wrong in (object(), "a", [1, "x"]):
+            if wrong == "a" and call is not bt.Moebius:
+                continue  # a path
+            with pytest.raises(bt.InputError):
+                call(wrong)
 
 
 def test_saved_maps_and_modes_come_back(tmp_path: Any) -> None:
@@ -197,3 +220,7 @@ def test_saved_maps_and_modes_come_back(tmp_path: Any) -> None:
     distances = bt.distance_matrix([SPHERE, TORUS], method="shape_dna", labels=["sphere", "torus"])
     distances.save(tmp_path / "distances.csv")
     assert (tmp_path / "distances.csv").read_text().splitlines()[0] == "sphere,torus"
+
+
+def test_a_tab_shows_what_there_is() -> None:
+    assert dir(bt) == sorted(bt.__all__)
