@@ -51,7 +51,7 @@ class Side:
     unit: float  # of length
     centre: Floats
     mass: Floats  # 0 where a point hangs loose of the largest part
-    stiffness: scipy.sparse.csr_array  # of the points that are no copies of others
+    stiffness: scipy.sparse.csr_array  # rows of points that are copies of others are empty
     values: Floats
     functions: Floats
     positions: Floats
@@ -59,6 +59,7 @@ class Side:
     dimension: int
     samples: Ints
     sample_masses: Floats
+    embedded: bool = False  # a surface in R^3 whose place there may be used
     normals: Floats | None = None
     curvature: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     descriptors: Floats = field(default_factory=lambda: np.zeros((0, 0)))
@@ -114,7 +115,8 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
         first = _core.first_copies(shape.points)
         if not first.all():
             single = np.flatnonzero(first)
-            shape = PointCloud(shape.points[single], dimension=shape.dimension)
+            normals = None if shape.normals is None else shape.normals[single]
+            shape = PointCloud(shape.points[single], dimension=shape.dimension, normals=normals)
     ops = operators(shape)
     dimension = ops.shape.dimension if isinstance(ops.shape, PointCloud) else 2
     kept = np.flatnonzero((ops.component_labels == ops.component_masses.argmax()) & (ops.mass > 0))
@@ -138,8 +140,11 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
     faces = _oriented_faces(ops.shape) if isinstance(ops.shape, TriangleMesh) else None
     chosen = main[farthest_points(positions[main], min(samples, len(main)))].astype(np.int32)
     owner = nearest_neighbors(positions[chosen], positions, 1)[0][:, 0]
-    stiffness = ops.stiffness * unit ** (2 - dimension) if dimension != 2 else ops.stiffness
-    side = Side(
+    stiffness = ops.stiffness
+    if single is not None:
+        coo = stiffness.tocoo()
+        stiffness = scipy.sparse.csr_array((coo.data, (single[coo.row], single[coo.col])), shape=(len(places),) * 2)
+    return Side(
         shape=whole,
         unit=unit,
         centre=centre,
@@ -154,11 +159,8 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
         sample_masses=_gathered(owner, mass, len(chosen)),
         curvature=np.zeros((len(mass), 0)),
         descriptors=np.zeros((len(mass), 0)),
+        embedded=extrinsic and dimension == 2 and positions.shape[1] == 3,
     )
-    if extrinsic and faces is not None and positions.shape[1] == 3:
-        side.normals = vertex_normals(positions, faces)
-        side.curvature = _curvature(side)
-    return side
 
 
 def _gathered(owner: npt.NDArray[Any], weights: Floats, count: int) -> Floats:
@@ -174,11 +176,15 @@ def _standard(values: Floats, mass: Floats) -> Floats:
     return np.clip(np.divide(centred, spread, out=np.zeros_like(centred), where=spread > 1e-12 * abs(values).max(initial=1e-300)), -3, 3)
 
 
-def _curvature(side: Side) -> Floats:
-    """Mean curvature, smoothed by the heat equation for several times: it tells front from back, and inside from outside."""
-    assert side.normals is not None
+def _with_curvature(side: Side, oriented: bool) -> Side:
+    """With mean curvature, smoothed by the heat equation for several times: it tells front from back, and inside from outside.
+
+    Without an orientation of both shapes its size alone, and no normals.
+    """
+    normals = vertex_normals(side.positions, side.faces) if oriented and side.faces is not None else None
     mass = np.maximum(side.mass, 1e-12 / len(side.mass))
-    curvature = np.clip(((side.stiffness @ side.positions) * side.normals).sum(1) / mass / 2, -50, 50)
+    vectors = (side.stiffness @ side.positions) / mass[:, None] / 2
+    curvature = np.clip(np.linalg.norm(vectors, axis=1) if normals is None else (vectors * normals).sum(1), -50, 50)
     diagonal = scipy.sparse.diags_array(mass)
     columns: list[Floats] = []
     factor: Cholesky | None = None
@@ -186,7 +192,7 @@ def _curvature(side: Side) -> Floats:
         matrix = scipy.sparse.csr_array(diagonal + time * side.stiffness)
         factor = Cholesky(matrix, coordinates=side.positions) if factor is None else factor.refactor(matrix)
         columns.append(factor.solve(mass * curvature))
-    return _standard(np.stack(columns, 1), side.mass)
+    return replace(side, normals=normals, curvature=_standard(np.stack(columns, 1), side.mass))
 
 
 # --- candidates from triple products ------------------------------------------------------------------------------------------
@@ -354,7 +360,7 @@ class RegistrationCandidate:
     point_map : (n,) int32 array
         Index in the target of each source point, by this map alone (not polished). Computed when it is asked for.
     energy : float
-        What decides: of deforming the source onto its image (oriented surfaces in R^3), or else the mean squared distance of nearest
+        What decides: of deforming the source onto its image (surfaces in R^3), or else the mean squared distance of nearest
         rows. Only energies of one call compare.
     smoothness : float
         Agreement of the triple products of eigenfunctions, at most 1.
@@ -404,25 +410,24 @@ def _low_passed(matrix: Floats, source: Side, target: Side) -> Floats:
     return _product(source.functions[:, :k], matrix @ coefficients)
 
 
-def _marks(side: Side, curvature: float = 0.03) -> Floats:
-    """Features that go along with positions of unit area."""
-    marks: Floats = np.concatenate([curvature * side.curvature, 0.1 * side.descriptors], 1)
-    return marks
+def _marked(side: Side, positions: Floats, turned: float, curved: float) -> Floats:
+    """The side at some positions (of unit area): these, their normals and the curvature, which are weighted, and descriptors."""
+    columns = [positions, curved * side.curvature, 0.1 * side.descriptors]
+    if side.normals is not None and side.faces is not None:
+        columns.append(turned * (side.normals if positions is side.positions else vertex_normals(positions, side.faces)))
+    return np.concatenate(columns, 1)
 
 
 class _Fitting:
     """Deforms the source onto the target, its samples drawn to nearest points in position, normal and curvature, round by round."""
 
     def __init__(self, source: Side, target: Side, rigid: _Rigid, pull: float = 300.0) -> None:
-        assert source.faces is not None
-        assert target.normals is not None
-        self.source, self.target, self.rigid, self.pull, self.faces = source, target, rigid, pull, source.faces
+        self.source, self.target, self.rigid, self.pull = source, target, rigid, pull
         self.masses = np.zeros(len(source.mass))
         self.masses[source.samples] = source.sample_masses
         self.anchor = 1e-6 / len(source.mass)  # holds what is tied to nothing
         self.factor = rigid.pulled(pull * (self.masses + self.anchor))
-        self.rows = np.concatenate([target.positions, 0.05 * target.normals, _marks(target)], 1)
-        self.marks = _marks(source)[source.samples]
+        self.rows = _marked(target, target.positions, 0.05, 0.03)
 
     def run(self, positions: Floats, rounds: int) -> tuple[float, Floats]:
         """The energy at the last look, and where the source is then."""
@@ -430,8 +435,7 @@ class _Fitting:
         held = self.pull * self.anchor * positions
         energy = np.inf
         for step in range(rounds + 1):
-            normals = 0.05 * vertex_normals(positions, self.faces)[samples]
-            moved = np.concatenate([positions[samples], normals, self.marks], 1)
+            moved = _marked(self.source, positions, 0.05, 0.03)[samples]
             image, distance = _core.nearest_neighbors(self.rows, moved, 1)
             right, bent = self.rigid.core.fit(positions, 0.0)
             energy = bent + self.pull * float(self.source.sample_masses @ distance[:, 0] ** 2)
@@ -476,23 +480,22 @@ def _listed(maps: Floats, energies: Floats, scores: Floats, source: Side, target
     return [candidate for candidate in found if candidate.orientation >= 0] or found
 
 
-def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: int = 15, report: Any = None) -> tuple[Ints, Ints, Floats]:
-    """The source deformed onto the target: nearest points in position, normal and curvature, both ways, and a rigid step, in turns."""
-    assert source.faces is not None
-    assert target.normals is not None
-    positions = start
-    marks = _marks(source, 0.03)
-    rows = np.concatenate([target.positions, 0.05 * target.normals, _marks(target, 0.03)], 1)
+def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: int = 15) -> tuple[Ints, Ints, Floats]:
+    """The source deformed onto the target: nearest points in position, normal and curvature, both ways, and a rigid step, in turns.
 
-    def nearest() -> tuple[Ints, Ints]:
-        assert source.faces is not None
-        moved = np.concatenate([positions, 0.05 * vertex_normals(positions, source.faces), marks], 1)
+    Normals and curvature weigh much at first, when positions are still off, and little at the end.
+    """
+    positions = start
+
+    def nearest(share: float) -> tuple[Ints, Ints]:
+        turned, curved = 0.2 + share * (0.03 - 0.2), 0.05 + share * (0.01 - 0.05)
+        moved, rows = _marked(source, positions, turned, curved), _marked(target, target.positions, turned, curved)
         return _core.nearest_neighbors(rows, moved, 1)[0][:, 0], _core.nearest_neighbors(moved, rows, 1)[0][:, 0]
 
     n = len(source.mass)
     own = np.maximum(source.mass, 1e-3 / n)
     for step, pull in enumerate(np.geomspace(100.0, 1000.0, steps)):
-        forward, backward = nearest()
+        forward, backward = nearest(step / (steps - 1))
         weight = own + _gathered(backward, target.mass, n)
         images = own[:, None] * target.positions[forward]
         for axis in range(3):
@@ -501,9 +504,7 @@ def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: 
         for _ in range(2):
             right, _energy = rigid.core.fit(positions, 0.8)
             positions = factor.solve(right + pull * images)
-        if report is not None:
-            report((step + 1) / steps)
-    forward, backward = nearest()
+    forward, backward = nearest(1.0)
     return forward, backward, positions
 
 
@@ -619,7 +620,7 @@ class RegistrationResult:
     orientation : float
         Agreement of oriented triple products, at most 1; 0 if a shape has no orientation.
     mirror_decided : bool
-        Whether left and right were told apart. False for clouds, for faces that cannot be oriented: look at ``candidates``.
+        Whether orientation told left and right apart. False for clouds, for faces that cannot be oriented: look at ``candidates``.
     extrinsic : bool
         Whether positions in R^3 took part (curvature, rigid deformation), and not only what bending keeps.
     positions : (n_source, 3) array or None
@@ -818,11 +819,11 @@ def match(
     modes = min(source.modes, target.modes)
     top = min(_TOP, modes)
     oriented = source.faces is not None and target.faces is not None
-    extrinsic = oriented and source.normals is not None and target.normals is not None
+    extrinsic = source.embedded and target.embedded and method == "auto"
     notes: list[str] = []
     history: dict[str, Floats] = {}
-    if not extrinsic:  # what one side has alone cannot be compared
-        source, target = (replace(side, curvature=np.zeros((len(side.mass), 0)), normals=None) for side in (source, target))
+    if extrinsic:
+        source, target = _with_curvature(source, oriented), _with_curvature(target, oriented)
     products = _products(source, target)
     if not oriented:
         products.source[1][:], products.target[1][:] = 0.0, 0.0
@@ -850,10 +851,14 @@ def match(
         matrix = candidates[0].functional_map[1:, 1:]
         forward, backward = _point_maps(matrix, source, target, 0.0)
         positions = None
-        extrinsic = False
     else:
         leads = _LEADS if oriented else [(powers, 0.0) for powers, weight in _LEADS if weight == 1.0]
-        maps = np.concatenate([_beam(products, top, powers, weight, 32, 8) for powers, weight in leads])
+        found = [_beam(products, top, powers, weight, 32, 8) for powers, weight in leads]
+        if not oriented:  # half of what tells maps apart is missing: the chapter's iteration finds others
+            coarse = [eigenmap(side, 300, top) for side in (source, target)]
+            runs, _ = align_eigenmaps(coarse[0], coarse[1], [*(level for level in (5, 10) if level < top), top], seed)
+            found.append(np.array([run.rotation for run in runs]))
+        maps = np.concatenate(found)
         maps = maps[_distinct(maps, -np.arange(len(maps), dtype=float), len(maps), 0.98, len(maps))]
         told(0.3)
         maps = _grown(maps, upto(24, 30), source, target, 0.3, _SAMPLES // 2)
@@ -875,7 +880,7 @@ def match(
         told(0.7)
         positions = None
         if rigid is not None and polish:
-            forward, backward, positions = _polish(_low_passed(matrix, source, target), source, target, _Rigid(source))
+            forward, backward, positions = _polish(_low_passed(matrix, source, target), source, target, rigid)
             matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
         else:
             forward, backward = _point_maps(matrix, source, target, 0.6)
@@ -884,7 +889,8 @@ def match(
     start = _core.polar(np.ascontiguousarray(matrix[:n, :n]))
     rotation, distance = settle(eigenmap(source, _SAMPLES, n), eigenmap(target, _SAMPLES, n), start, seed)
     if not oriented:
-        notes.append("no orientation: left and right cannot be told apart" + _twins(candidates))
+        how = "rest on the energies of the deformations alone" if extrinsic else "cannot be told apart"
+        notes.append(f"no orientation: left and right {how}{_twins(candidates)}")
     moved = source.positions[backward[forward]] - source.positions
     result = RegistrationResult(
         point_map=forward,
@@ -935,7 +941,7 @@ def register(
 
     Shapes are scaled to unit area. Candidates for the orthogonal matrix between the eigenfunctions come from a beam search over
     signs and rotations that makes triple products agree, ``∫ φ_i φ_j φ_k``, and oriented ones, ``∫ φ_i dφ_j ∧ dφ_k``, which tell a mirror
-    image. Each is refined by upsampling in both directions. On oriented surfaces in R^3 the least energy of deforming the source
+    image. Each is refined by upsampling in both directions. On surfaces in R^3 the least energy of deforming the source
     onto the target decides, and the map is polished by such a deformation. With ``method="rswd"`` the chapter's iteration alone:
     rotation-invariant sliced Wasserstein between the eigenmaps ``λ_k^(-d/4) φ_k``, coarse to fine from all sign starts.
 
@@ -949,7 +955,7 @@ def register(
     descriptors : pair of arrays (n_source, p) and (n_target, p), "hks" or "wks", optional
         Functions that should be carried over. Brought to one scale; joined to the eigenmaps.
     extrinsic : bool
-        Whether positions in R^3 may help, where both shapes are oriented surfaces there. False: only what no bending changes.
+        Whether positions may help, where both shapes are surfaces in R^3. False: only what no bending changes.
     polish : bool
         Whether the map is polished by a deformation, if extrinsic.
     modes : int
@@ -976,8 +982,8 @@ def register(
 
     Notes
     -----
-    For partial shapes and clouds a map comes back too; look at ``coverage``, ``bijectivity`` and ``notes``. Left and right cannot be told
-    apart on clouds.
+    For partial shapes and clouds a map comes back too; look at ``coverage``, ``bijectivity`` and ``notes``. On clouds nothing but
+    the energy of the deformation tells left from right, and in other spaces than R^3 nothing does.
 
     References
     ----------
@@ -1001,7 +1007,7 @@ def register(
     report = reporter(progress, "registration")
     sides = []
     for index, shape in enumerate((source, target)):
-        sides.append(prepare(shape, modes=modes, samples=samples, extrinsic=extrinsic and method == "auto"))
+        sides.append(prepare(shape, modes=modes, samples=samples, extrinsic=extrinsic))
         if report is not None and report(0.2 * (index + 1)) is False:
             raise Cancelled("stopped on request before the work was done")
     if sides[0].dimension != sides[1].dimension:

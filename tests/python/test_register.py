@@ -87,14 +87,30 @@ def test_the_chapters_iteration_alone(pair):
 
 
 def test_intrinsic_only_and_clouds(pair):
-    source, target, _truth = pair
+    source, target, truth = pair
     inner = bt.register(source, target, extrinsic=False)
     assert not inner.extrinsic
     assert error(inner.point_map, pair) < 0.03
     cloud = bt.register(bt.PointCloud(source.vertices), bt.PointCloud(target.vertices))
     assert not cloud.mirror_decided
     assert any("left and right" in note for note in cloud.notes)
-    assert cloud.point_map.shape == (len(source.vertices),)
+    assert error(cloud.point_map, pair) < 0.01  # the deformation decides
+    assert np.linalg.norm(cloud.positions - target.vertices[truth], axis=1).mean() < 0.01 * np.sqrt(target.area)
+    mixed = bt.register(source, bt.PointCloud(target.vertices))
+    assert not mixed.mirror_decided
+    assert error(mixed.point_map, pair) < 0.01
+
+
+def test_copies_of_points_change_nothing_and_keep_their_normals():
+    ball = bt.shapes.ellipsoid(level=3)
+    x, y, z = ball.vertices.T
+    shape = bt.TriangleMesh(ball.vertices * (1 + 0.2 * x + 0.1 * y + 0.15 * z * (x + 1))[:, None], ball.faces)  # no symmetry
+    points, normals = shape.vertices, bt.normals(shape.vertices)
+    once = bt.register(bt.PointCloud(points, normals=normals), shape)
+    twice = bt.register(bt.PointCloud(np.r_[points, points[:9]], normals=np.r_[normals, normals[:9]]), shape)
+    assert (once.point_map == np.arange(len(points))).mean() > 0.99
+    assert (twice.point_map[: len(points)] == once.point_map).mean() > 0.99
+    assert (twice.point_map[len(points) :] == twice.point_map[:9]).all()
 
 
 def test_landmarks_decide_where_symmetry_cannot():
