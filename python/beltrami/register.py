@@ -56,6 +56,7 @@ class Side:
     functions: Floats
     positions: Floats
     faces: Ints | None  # consistently oriented, outward if closed; None: unknown orientation
+    follows: npt.NDArray[np.int64]  # the point of the largest part that each goes along with
     dimension: int
     samples: Ints
     sample_masses: Floats
@@ -135,8 +136,10 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
     mass[main] = ops.mass[kept] / area
     centre: Floats = mass @ places
     positions = (places - centre) / unit
+    follows = main
     if len(main) < len(places):  # what hangs loose goes along with the nearest point of the largest part
-        functions = functions[nearest_neighbors(positions[main], positions, 1)[0][:, 0]]
+        nearest = nearest_neighbors(positions[main], positions, 1)[0][:, 0]
+        functions, follows = functions[nearest], main[nearest]
     faces = _oriented_faces(ops.shape) if isinstance(ops.shape, TriangleMesh) else None
     chosen = main[farthest_points(positions[main], min(samples, len(main)))].astype(np.int32)
     owner = nearest_neighbors(positions[chosen], positions, 1)[0][:, 0]
@@ -154,6 +157,7 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
         functions=functions,
         positions=positions,
         faces=faces,
+        follows=follows,
         dimension=dimension,
         samples=chosen,
         sample_masses=_gathered(owner, mass, len(chosen)),
@@ -505,7 +509,9 @@ def _polish(start: Floats, source: Side, target: Side, rigid: _Rigid, *, steps: 
             right, _energy = rigid.core.fit(positions, 0.8)
             positions = factor.solve(right + pull * images)
     forward, backward = nearest(1.0)
-    return forward, backward, positions
+    copies = (source.positions[source.follows] == source.positions).all(1)
+    positions = np.where(copies[:, None], positions[source.follows], positions)
+    return forward[source.follows], backward[target.follows], positions
 
 
 # --- the chapter's iteration --------------------------------------------------------------------------------------------------------

@@ -111,6 +111,7 @@ def test_copies_of_points_change_nothing_and_keep_their_normals():
     assert (once.point_map == np.arange(len(points))).mean() > 0.99
     assert (twice.point_map[: len(points)] == once.point_map).mean() > 0.99
     assert (twice.point_map[len(points) :] == twice.point_map[:9]).all()
+    assert (twice.positions[len(points) :] == twice.positions[:9]).all()
 
 
 def test_landmarks_decide_where_symmetry_cannot():
