@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export PROPTEST_RNG_SEED ?= 20
 SOURCES := $(shell find rust python/binding -name '*.rs') Cargo.toml Cargo.lock python/binding/Cargo.toml pyproject.toml
 
-.PHONY: help system build demo test check bars bench docs slow clean
+.PHONY: help system build demo test check bars bench docs slow wheel clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
 
@@ -66,6 +66,10 @@ bench: build ## times of the kernels, and side by side with other libraries wher
 	cargo bench --quiet
 	$(BIN)/python benches/results.py
 	$(BIN)/python benches/scale.py
+
+wheel: build ## the wheel in dist/, tried in empty environments (PYTHONS="python3.10 python3.13" for others than this Python)
+	rm -rf dist && . $(BIN)/activate && maturin build --release --locked --out dist
+	$(BIN)/python python/try_wheel.py dist/*.whl $(PYTHONS)
 
 slow: build ## the sweeps that take minutes
 	HYPOTHESIS_PROFILE=random $(BIN)/python -m pytest -q -m slow

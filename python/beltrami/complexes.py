@@ -71,6 +71,7 @@ def _plane_fits(points: Floats, queries: Floats, count: int) -> tuple[Floats, Fl
         near = points[indices[here]]
         means[here] = near.mean(1)
         near = near - means[here, None]
+        near /= np.maximum(np.abs(near).max((1, 2), keepdims=True), 1e-300)  # squares of very large shapes overflow
         values, vectors = np.linalg.eigh(np.matmul(near.transpose(0, 2, 1), near))
         normals[here] = vectors[:, :, 0]
         shares[here] = values[:, 0] / np.maximum(values.sum(1), 1e-300)

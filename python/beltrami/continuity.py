@@ -336,9 +336,8 @@ class Model:
         height = potential[-1] - h[-1] / (2 * self.n) + (0.0 if last is None else last)
         least = np.full(self.surface.components, np.inf)
         there = self.mass > 0
-        with np.errstate(invalid="ignore"):
-            np.minimum.at(least, self.surface.labels[there], height[there])
-        return float(self.masses[0] @ np.where(np.isfinite(least), least, 0.0))
+        np.minimum.at(least, self.surface.labels[there], height[there])
+        return float(self.masses[0] @ np.where(least < np.inf, least, 0.0))  # inf: a part where nothing can be
 
     def linear_bound(self, potential: Floats, limit: Floats, last: Floats | None) -> tuple[float, Floats]:
         """The least cost for players who pay ``limit`` at each inner slice and ``last`` at the end, from below, and the potential that
@@ -356,6 +355,8 @@ class Model:
             self.domain.repairs(*arguments, candidates)
             for candidate in candidates.reshape(len(REPAIRS), self.n, -1):
                 phi = -candidate[::-1] if backward else candidate
+                if not np.isfinite(phi).all():  # steep slopes on slivers, squared at each slice, overflow
+                    continue
                 value = self.boundary(phi, self.hamiltonian(np.ascontiguousarray(phi)), last)
                 if np.isfinite(value) and value > best and np.abs(phi).max() < 1e100:
                     best, proof = value, phi.copy()

@@ -19,7 +19,7 @@ from .arrays import Floats
 from .clouds import CloudOperators
 from .errors import InputError
 from .near import nearest_neighbors
-from .operators import Operators
+from .operators import Operators, operators
 from .shapes import TriangleMesh
 
 Longs = npt.NDArray[np.int64]
@@ -265,9 +265,10 @@ def gradients(ops: Operators, values: Floats, known: Mask | None = None) -> Floa
         return fit(ops, values, known=known).gradients
     if not isinstance(ops.shape, TriangleMesh):
         raise InputError(f"no gradients at the points of laplacian={ops.kind!r}")
-    faces, space = ops.shape.faces, ops.coordinates.shape[1]
-    slopes = (ops.simplex_gradient @ values).reshape(-1, space)
-    areas = ops.simplex_areas
+    # of the triangles in space, whatever triangulation the stiffness comes from
+    flat = ops if ops.kind == "cotangent" else operators(ops.shape, laplacian="cotangent")
+    faces, areas = ops.shape.faces, flat.simplex_areas
+    slopes = (flat.simplex_gradient @ values).reshape(len(faces), -1)
     if known is not None:
         areas = areas * known[faces].all(1)
     total = np.bincount(faces.ravel(), np.repeat(areas, 3), len(values))
@@ -281,8 +282,6 @@ def _bows(ops: Operators, mesh: Elements, exact: Function | None) -> Floats:
     rise = mesh.potential[j] - mesh.potential[i]
     if exact is not None:
         return exact(middles(ops, mesh)) - (mesh.potential[i] + mesh.potential[j]) / 2
-    if not isinstance(ops, CloudOperators) and len(ops.simplex_areas) != len(ops.shape.faces):  # type: ignore[union-attr]
-        return np.zeros(len(i))
     slopes, step = gradients(ops, mesh.potential), mesh.points[j] - mesh.points[i]
     one, other = (np.einsum("eD,eD->e", slopes[i], step) - rise) / 4, (rise - np.einsum("eD,eD->e", slopes[j], step)) / 4
     trusted = np.abs(one - other) <= DOUBT + np.abs(one + other) / 2
