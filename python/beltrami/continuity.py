@@ -765,7 +765,9 @@ class Certificate:
         if lower > self.lower or self.potential.size == 0:
             self.lower, self.potential = max(lower, self.lower), proof
         if self.gap > tolerance:
-            for _, path, _ in found:
+            for value, path, _ in found:
+                if np.isinf(value) and np.isfinite(self.upper):
+                    continue  # something moves where there is nothing
                 self.offer(path, model.optimal(path, state.potential))
         self.last = state.potential
         self.history.append((iteration, self.upper, self.lower, self.gap))
@@ -816,8 +818,12 @@ COARSE = 20  # iterations with few intervals, of each number, before those with 
 
 
 def coarser(intervals: int) -> list[int]:
-    """Numbers of intervals to begin with."""
-    return [few for few in (4, 8, 16, 32, 64) if 2 * few <= intervals]
+    """Numbers of intervals to begin with: halves, down to 3."""
+    found = []
+    while intervals >= 6:
+        intervals //= 2
+        found.insert(0, intervals)
+    return found
 
 
 def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Callable[[float, float], None]) -> tuple[Certificate, int]:

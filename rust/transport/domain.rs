@@ -246,28 +246,25 @@ impl Domain {
         }
         let elements = &self.elements;
         mean.par_chunks_mut(nodes).zip(flux.par_chunks_mut(nodes)).enumerate().for_each(|(slice, (mean, flux))| {
+            mean.fill(0.0);
+            flux.fill(0.0);
             let scalar = &scalar[slice * count..][..count];
             let (field, other) = (&field[slice * count * side..][..count * side], &other[slice * count * side..][..count * side]);
-            mean.par_chunks_mut(CHUNK).zip(flux.par_chunks_mut(CHUNK)).enumerate().for_each(|(chunk, (mean, flux))| {
-                for (offset, (mean, flux)) in mean.iter_mut().zip(flux).enumerate() {
-                    let node = chunk * CHUNK + offset;
-                    let (mut average, mut given) = (0.0, 0.0);
-                    for &at in &elements.incidence[elements.starts[node]..elements.starts[node + 1]] {
-                        let at = at as usize;
-                        let element = at / S;
-                        let (hat, weight, factor) = (&self.hats[at * side..][..side], elements.weights[element], factors[element]);
-                        let (x, y) = (&field[element * side..][..side], &other[element * side..][..side]);
-                        let mut product = 0.0;
-                        for k in 0..side {
-                            product += hat[k] * (x[k] - factor * y[k]);
-                        }
-                        average += weight * scalar[element];
-                        given += weight * product;
-                    }
-                    *mean = average / S as f64;
-                    *flux = given;
+            // element by element: their tables are streamed once, and a slice of nodes stays in the cache
+            let each = scalar.iter().zip(field.chunks_exact(side)).zip(other.chunks_exact(side)).zip(&elements.weights).zip(factors);
+            let corners = elements.indices.chunks_exact(S).zip(self.hats.chunks_exact(S * side));
+            for (((((scalar, x), y), weight), factor), (corners, hats)) in each.zip(corners) {
+                let average = weight * scalar / S as f64;
+                let mut given = [0.0; S];
+                for k in 0..side {
+                    given[k] = weight * (x[k] - factor * y[k]);
                 }
-            });
+                for (&corner, hat) in corners.iter().zip(hats.chunks_exact(side)) {
+                    let product: f64 = hat.iter().zip(&given).map(|(h, v)| h * v).sum();
+                    mean[corner as usize] += average;
+                    flux[corner as usize] += product;
+                }
+            }
         });
     }
 

@@ -39,8 +39,8 @@ impl Domain {
         if self.nodes() == 0 {
             return Ok(());
         }
-        out.par_chunks_mut(self.nodes()).zip(potential.par_chunks(self.nodes())).for_each_init(Vec::new, |scratch, (out, potential)| {
-            self.hamiltonian_slice(potential, &factors, power, scratch, out);
+        out.par_chunks_mut(self.nodes()).zip(potential.par_chunks(self.nodes())).for_each(|(out, potential)| {
+            self.hamiltonian_slice(potential, &factors, power, out);
         });
         Ok(())
     }
@@ -55,26 +55,22 @@ impl Domain {
         Ok(weights.iter().zip(&self.elements.weights).map(factor).collect())
     }
 
-    fn hamiltonian_slice(&self, potential: &[f64], factors: &[f64], power: f64, scratch: &mut Vec<f64>, out: &mut [f64]) {
-        scratch.clear();
+    fn hamiltonian_slice(&self, potential: &[f64], factors: &[f64], power: f64, out: &mut [f64]) {
+        out.fill(0.0);
         match self.elements.corners {
-            2 => self.energies::<2>(potential, factors, power, scratch),
-            3 => self.energies::<3>(potential, factors, power, scratch),
-            _ => self.energies::<4>(potential, factors, power, scratch),
-        }
-        let (elements, corners) = (&self.elements, self.elements.corners);
-        for (node, out) in out.iter_mut().enumerate() {
-            let around = &elements.incidence[elements.starts[node]..elements.starts[node + 1]];
-            *out = around.iter().map(|&at| scratch[at as usize / corners]).sum();
+            2 => self.energies::<2>(potential, factors, power, out),
+            3 => self.energies::<3>(potential, factors, power, out),
+            _ => self.energies::<4>(potential, factors, power, out),
         }
     }
 
-    fn energies<const S: usize>(&self, potential: &[f64], factors: &[f64], power: f64, out: &mut Vec<f64>) {
+    fn energies<const S: usize>(&self, potential: &[f64], factors: &[f64], power: f64, out: &mut [f64]) {
         let r = power / (power - 1.0);
-        out.extend(factors.iter().enumerate().map(|(element, factor)| {
+        for (element, (factor, corners)) in factors.iter().zip(self.elements.indices.chunks_exact(S)).enumerate() {
             let square: f64 = self.slope::<S>(potential, element)[..S - 1].iter().map(|x| x * x).sum();
-            factor * if power == 2.0 { square } else { square.powf(0.5 * r) }
-        }));
+            let energy = factor * if power == 2.0 { square } else { square.powf(0.5 * r) };
+            corners.iter().for_each(|&corner| out[corner as usize] += energy);
+        }
     }
 
     /// Lowers a potential (intervals, nodes) slice by slice, from the first to the last, until
@@ -103,7 +99,7 @@ impl Domain {
         if nodes == 0 {
             return Ok(());
         }
-        let (mut scratch, mut h, mut before) = (Vec::new(), vec![0.0; nodes], vec![0.0; nodes]);
+        let (mut h, mut before) = (vec![0.0; nodes], vec![0.0; nodes]);
         let (mut excess, mut spread) = (vec![0.0; nodes], vec![0.0; nodes]);
         let components = self.grounds.len();
         let mut shift = vec![0.0; components]; // of the slices so far, on each component
@@ -113,7 +109,7 @@ impl Domain {
                 *here = given - shift[label as usize];
             }
             if k == 0 && !bounded {
-                self.hamiltonian_slice(here, &factors, how.power, &mut scratch, &mut h);
+                self.hamiltonian_slice(here, &factors, how.power, &mut h);
                 for ((b, phi), (h, &mass)) in before.iter_mut().zip(&*here).zip(h.iter().zip(&self.mass)) {
                     *b = phi - if mass > 0.0 { h / mass / (2.0 * n) } else { 0.0 };
                 }
@@ -128,7 +124,7 @@ impl Domain {
             }
             let mut best: Option<(f64, Vec<f64>, Vec<f64>)> = None;
             for pass in 0..=how.passes {
-                self.hamiltonian_slice(here, &factors, how.power, &mut scratch, &mut h);
+                self.hamiltonian_slice(here, &factors, how.power, &mut h);
                 let mut most = vec![f64::NEG_INFINITY; components];
                 for (node, e) in excess.iter_mut().enumerate() {
                     if self.mass[node] > 0.0 {
@@ -163,7 +159,7 @@ impl Domain {
                 }
                 shift.iter_mut().zip(&down).for_each(|(shift, down)| *shift += down);
             }
-            self.hamiltonian_slice(here, &factors, how.power, &mut scratch, &mut h);
+            self.hamiltonian_slice(here, &factors, how.power, &mut h);
             for ((b, phi), (h, &mass)) in before.iter_mut().zip(&*here).zip(h.iter().zip(&self.mass)) {
                 *b = phi - if mass > 0.0 { h / mass / (2.0 * n) } else { 0.0 };
             }

@@ -68,7 +68,7 @@ def moving_mass(sheet: Sheet) -> None:
             size=(1800, 620) if name != "cortex" else (1800, 520),
         )
         if name == "Spot":
-            moments = np.linspace(0, 1, 25)
+            moments = np.linspace(0, 1, intervals + 1)
             frames = [
                 bt.plot(
                     mesh,
