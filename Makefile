@@ -33,7 +33,7 @@ system: ## what a bare Debian or Ubuntu lacks: a linker, Python's venv, Rust; el
 	@touch $@
 
 .venv/.built: .venv/.made $(SOURCES)
-	. $(BIN)/activate && maturin develop --release --quiet
+	. $(BIN)/activate && PIP_QUIET=1 maturin develop --release --quiet
 	@touch $@
 
 build: .venv/.built ## make .venv and install the release build with all that tests and demo use

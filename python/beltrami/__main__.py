@@ -1055,6 +1055,7 @@ def doctor(options: Options) -> int:
     for package, purpose in (
         ("numpy", ""), ("scipy", ""), ("trimesh", ""), ("matplotlib", "further colour maps"), ("nibabel", "GIFTI and FreeSurfer files"),
         ("nilearn", "the example cortex"), ("pyvista", "to_pyvista"), ("meshio", "its objects"), ("networkx", "to_networkx"),
+        ("MDAnalysis", "molecules"), ("distributed", "distances on a Dask cluster"),
     ):  # fmt: skip
         found = next(iter(importlib.metadata.distributions(name=package)), None)
         absent = f"absent (optional: {purpose})" if purpose else "MISSING: pip install beltrami again"

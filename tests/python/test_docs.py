@@ -148,3 +148,14 @@ def test_links_of_the_readme() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^)#]+)", text):
         assert link.startswith("https:") or (ROOT / link).exists(), link
+
+
+def test_every_extra_is_explained() -> None:
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    [block] = re.findall(r"^\[project\.optional-dependencies\]\n(.*?)^\[", project, re.M | re.S)
+    extras = re.findall(r"^(\w+) = ", block, re.M)
+    page = (ROOT / "docs" / "installation.md").read_text(encoding="utf-8")
+    assert len(extras) > 4
+    assert [extra for extra in extras if f"`{extra}`" not in page] == []
+    code = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "python" / "beltrami").rglob("*.py"))
+    assert set(re.findall(r"beltrami\[(\w+)\]", code)) <= set(extras)
