@@ -309,7 +309,8 @@ def _fingerprint(member: Member) -> str:
         digest.update(b"mesh" + member.vertices.tobytes() + member.faces.tobytes() + str(member.vertices.shape).encode())
     elif isinstance(member, PointCloud):
         digest.update(b"cloud" + member.points.tobytes() + str((member.points.shape, member.dimension)).encode())
-        digest.update(b"" if member.weights is None else member.weights.tobytes())
+        for more in (member.weights, member.normals):  # normals keep the sides of thin parts apart
+            digest.update(b"none" if more is None else more.tobytes())
     else:
         try:
             digest.update(Path(member).read_bytes())

@@ -90,12 +90,23 @@ def test_an_interrupted_run_goes_on(shapes, matrix, tmp_path):
     assert (np.asarray(bt.distance_matrix(shapes, checkpoint=tmp_path)) == want).all()
 
 
+def test_clouds_are_remembered_with_their_normals(tmp_path):
+    sheet = bt.shapes.grid(9, 25, width=3.0, height=1.0).vertices
+    sheet = np.c_[sheet, np.zeros(len(sheet))][:, :3]
+    normals = np.where(sheet[:, :1] > sheet[:, 0].mean(), [[0.0, 0, 1]], [[0.0, 0, -1]])  # cut in two where they oppose each other
+    near, apart = bt.PointCloud(sheet, dimension=2), bt.PointCloud(sheet, dimension=2, normals=normals)
+    other = bt.PointCloud(bt.shapes.ellipsoid(level=2).vertices, dimension=2)
+    first = bt.distance_matrix([near, other], checkpoint=tmp_path)
+    second = bt.distance_matrix([apart, other], checkpoint=tmp_path)
+    assert second[0, 1] == bt.distance_matrix([apart, other])[0, 1] != first[0, 1]
+
+
 def test_a_bad_shape_is_a_row_of_the_report(shapes, tmp_path):
     bad = tmp_path / "bad.off"
     bad.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n")
     good = tmp_path / "good.off"
     bt.save(shapes[3], good)
-    found = bt.distance_matrix([shapes[4], bad, good, tmp_path / "absent.ply"], labels="abcd")
+    found = bt.distance_matrix([shapes[4], bad, good, tmp_path / "absent.ply"], labels=list("abcd"))
     assert sorted(found.failures) == [1, 3]
     assert np.isinf(found[0, 1])
     assert found[1, 1] == 0
