@@ -21,6 +21,12 @@ const LANES: usize = 8;
 /// Directions that one task takes.
 const GROUP: usize = 4;
 
+/// Buckets that are sorted together.
+const BUCKETS_AT_ONCE: usize = 256;
+
+/// Numbers in a bucket from which on it is sorted in the ordinary way.
+const CROWD: usize = 32;
+
 /// A weighted measure as the kernels keep it: blocks of [`LANES`] points, coordinate after coordinate.
 #[derive(Debug, Clone)]
 struct Measure {
@@ -155,6 +161,8 @@ trait Item: Copy + Default + Send {
     fn number(&self) -> f64;
     fn index(&self) -> usize;
     fn order(&self, other: &Self) -> std::cmp::Ordering;
+    /// Sorts what lies in its bucket already, equal numbers in order of index. `ends`: of the buckets.
+    fn settle(dealt: &mut [Self], ends: &[u32]);
 }
 
 impl Item for f64 {
@@ -173,6 +181,36 @@ impl Item for f64 {
     #[inline(always)]
     fn order(&self, other: &f64) -> std::cmp::Ordering {
         self.total_cmp(other)
+    }
+
+    /// By exchanges of neighbours, the even pairs and the odd ones in turn: as many rounds as the fullest bucket holds numbers, and
+    /// no branch that depends on them, so that several pairs go at once.
+    #[inline(always)]
+    fn settle(dealt: &mut [f64], ends: &[u32]) {
+        let mut first = 0;
+        for some in ends.chunks(BUCKETS_AT_ONCE) {
+            let end = some.last().map_or(first, |&end| end as usize);
+            let numbers = &mut dealt[first..end];
+            first = end;
+            let mut moved = 1;
+            for _ in 0..CROWD {
+                moved = 0;
+                for odd in 0..2 {
+                    let (pairs, _) = numbers.get_mut(odd..).unwrap_or_default().as_chunks_mut::<2>();
+                    for pair in pairs {
+                        let [a, b] = *pair;
+                        *pair = if b < a { [b, a] } else { [a, b] };
+                        moved |= pair[0].to_bits() ^ a.to_bits();
+                    }
+                }
+                if moved == 0 {
+                    break;
+                }
+            }
+            if moved != 0 {
+                numbers.sort_unstable_by(f64::total_cmp);
+            }
+        }
     }
 }
 
@@ -193,61 +231,101 @@ impl Item for (f64, u32) {
     fn order(&self, other: &(f64, u32)) -> std::cmp::Ordering {
         self.0.total_cmp(&other.0).then(self.1.cmp(&other.1))
     }
-}
 
-/// The numbers in ascending order, equal ones by index: dealt into buckets of equal width, of which there are enough that
-/// most hold a few numbers; what is left to do is insertion, or an ordinary sort of a bucket that holds many.
-fn sort<T: Item>(numbers: &[f64], starts: &mut Vec<u32>, sorted: &mut Vec<T>) {
-    let count = numbers.len();
-    let (least, most) = numbers.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), &number| {
-        (if number < least { number } else { least }, if number > most { number } else { most })
-    });
-    sorted.clear();
-    let buckets = (count / 2).next_power_of_two().clamp(16, 1 << 16);
-    let scale = (buckets - 1) as f64 / (most - least);
-    if count < 32 || !(scale.is_finite() && scale > 0.0) {
-        sorted.extend(numbers.iter().enumerate().map(|(index, &number)| T::new(number, index)));
-        sorted.sort_unstable_by(T::order);
-        return;
-    }
-    let bucket = |number: f64| ((number - least) * scale) as u32 as usize & (buckets - 1);
-    starts.clear();
-    starts.resize(buckets + 1, 0);
-    for &number in numbers {
-        starts[bucket(number) + 1] += 1;
-    }
-    let mut crowded = false;
-    let mut sum = 0;
-    for start in starts.iter_mut() {
-        crowded |= *start > 32;
-        sum += *start;
-        *start = sum;
-    }
-    sorted.resize(count, T::default());
-    for (index, &number) in numbers.iter().enumerate() {
-        let place = &mut starts[bucket(number)];
-        sorted[*place as usize] = T::new(number, index);
-        *place += 1;
-    }
-    if crowded {
-        // each bucket's start is now its end
+    /// By insertion.
+    #[inline(always)]
+    fn settle(dealt: &mut [(f64, u32)], ends: &[u32]) {
         let mut first = 0;
-        for &end in starts[..buckets].iter() {
-            if end - first > 32 {
-                sorted[first as usize..end as usize].sort_unstable_by(T::order);
+        for &end in ends {
+            if (end - first) as usize > CROWD {
+                dealt[first as usize..end as usize].sort_unstable_by(Self::order);
             }
             first = end;
         }
-    }
-    for at in 1..count {
-        let item = sorted[at];
-        let mut hole = at;
-        while hole > 0 && sorted[hole - 1].number() > item.number() {
-            sorted[hole] = sorted[hole - 1];
-            hole -= 1;
+        for at in 1..dealt.len() {
+            let item = dealt[at];
+            let mut hole = at;
+            while hole > 0 && dealt[hole - 1].0 > item.0 {
+                dealt[hole] = dealt[hole - 1];
+                hole -= 1;
+            }
+            dealt[hole] = item;
         }
-        sorted[hole] = item;
     }
+}
+
+/// How the numbers are dealt: the bucket of each, and where each bucket ends.
+#[derive(Default)]
+struct Deal {
+    keys: Vec<u32>,
+    ends: Vec<u32>,
+}
+
+/// The numbers in ascending order, equal ones by index: dealt into buckets of equal width, about as many as there are numbers, so that
+/// most hold a few; what is left to do is [`Item::settle`].
+struct Sort<'a, T> {
+    numbers: &'a [f64],
+    deal: &'a mut Deal,
+    sorted: &'a mut Vec<T>,
+}
+
+impl<T: Item> WithSimd for Sort<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Sort { numbers, deal: Deal { keys, ends }, sorted } = self;
+        let count = numbers.len();
+        let (least, most) = bounds(numbers);
+        let buckets = count.next_power_of_two().clamp(16, 1 << 17);
+        let scale = (buckets - 1) as f64 / (most - least);
+        sorted.clear();
+        if count < 32 || !(scale.is_finite() && scale > 0.0) {
+            sorted.extend(numbers.iter().enumerate().map(|(index, &number)| T::new(number, index)));
+            sorted.sort_unstable_by(T::order);
+            return;
+        }
+        keys.clear();
+        // added to 2^52 a number has its whole part in the lowest bits
+        keys.extend(numbers.iter().map(|number| ((number - least) * scale + (1u64 << 52) as f64).to_bits() as u32));
+        ends.clear();
+        ends.resize(buckets, 0);
+        for &key in keys.iter() {
+            ends[key as usize & (buckets - 1)] += 1;
+        }
+        let mut sum = 0;
+        for end in ends.iter_mut() {
+            sum += std::mem::replace(end, sum);
+        }
+        sorted.resize(count, T::default());
+        for (index, (&number, &key)) in numbers.iter().zip(keys.iter()).enumerate() {
+            let place = &mut ends[key as usize & (buckets - 1)];
+            sorted[*place as usize] = T::new(number, index);
+            *place += 1;
+        }
+        // each bucket's start has become its end
+        T::settle(sorted, ends);
+    }
+}
+
+/// The least and the greatest.
+#[inline(always)]
+fn bounds(numbers: &[f64]) -> (f64, f64) {
+    let (mut least, mut most) = ([f64::INFINITY; 16], [f64::NEG_INFINITY; 16]);
+    let (chunks, rest) = numbers.as_chunks::<16>();
+    for chunk in chunks {
+        for lane in 0..16 {
+            least[lane] = if chunk[lane] < least[lane] { chunk[lane] } else { least[lane] };
+        }
+        for lane in 0..16 {
+            most[lane] = if chunk[lane] > most[lane] { chunk[lane] } else { most[lane] };
+        }
+    }
+    (least.iter().chain(rest).copied().fold(f64::INFINITY, f64::min), most.iter().chain(rest).copied().fold(f64::NEG_INFINITY, f64::max))
+}
+
+fn sort<T: Item>(numbers: &[f64], deal: &mut Deal, sorted: &mut Vec<T>) {
+    Arch::new().dispatch(Sort { numbers, deal, sorted });
 }
 
 /// A measure on a line, in ascending order.
@@ -345,7 +423,7 @@ fn check_value(value: f64) -> Result<f64> {
 #[derive(Default)]
 struct Scratch {
     projected: Vec<f64>,
-    starts: Vec<u32>,
+    deal: Deal,
     source: Vec<f64>,
     target: Vec<f64>,
     pairs: Vec<(f64, u32)>,
@@ -366,16 +444,16 @@ fn project(measure: &Measure, directions: &[f64], out: &mut Vec<f64>) -> usize {
 fn sorted_line(
     measure: &Measure,
     numbers: &[f64],
-    starts: &mut Vec<u32>,
+    deal: &mut Deal,
     values: &mut Vec<f64>,
     pairs: &mut Vec<(f64, u32)>,
     masses: &mut Vec<f64>,
 ) {
     masses.clear();
     match &measure.weights {
-        None => sort(numbers, starts, values),
+        None => sort(numbers, deal, values),
         Some(weights) => {
-            sort(numbers, starts, pairs);
+            sort(numbers, deal, pairs);
             values.clear();
             values.extend(pairs.iter().map(|pair| pair.0));
             masses.extend(pairs.iter().map(|pair| weights[pair.1 as usize]));
@@ -424,9 +502,9 @@ pub fn distance(
             for way in 0..group.len() / dimension {
                 control.report(done.fetch_add(1, Ordering::Relaxed) as f64 / total as f64)?;
                 let numbers = &s.projected[way * stride..][..source.count];
-                sorted_line(&source, numbers, &mut s.starts, &mut s.source, &mut s.pairs, &mut s.masses);
+                sorted_line(&source, numbers, &mut s.deal, &mut s.source, &mut s.pairs, &mut s.masses);
                 let numbers = &other[way * stride_target..][..target.count];
-                sorted_line(&target, numbers, &mut s.starts, &mut s.target, &mut s.pairs, &mut s.target_masses);
+                sorted_line(&target, numbers, &mut s.deal, &mut s.target, &mut s.pairs, &mut s.target_masses);
                 let from = Line { sorted: &s.source, masses: source.weights.is_some().then_some(&s.masses), mass: source_mass };
                 let to = Line { sorted: &s.target, masses: target.weights.is_some().then_some(&s.target_masses), mass: target_mass };
                 costs.push(couple(&from, &to, scale, |_, _| {}));
@@ -483,7 +561,7 @@ impl Alignment {
             for (way, kept) in values.chunks_exact_mut(target.count).enumerate() {
                 control.check()?;
                 let numbers = &s.projected[way * stride..][..target.count];
-                sorted_line(&target, numbers, &mut s.starts, &mut s.target, &mut s.pairs, &mut s.masses);
+                sorted_line(&target, numbers, &mut s.deal, &mut s.target, &mut s.pairs, &mut s.masses);
                 kept.copy_from_slice(&s.target);
                 if let Some(masses) = masses.as_deref_mut() {
                     masses[way * target.count..][..target.count].copy_from_slice(&s.masses);
@@ -572,8 +650,8 @@ impl Alignment {
     fn one(&self, offset: usize, direction: usize, s: &mut Scratch) -> (Vec<f64>, f64) {
         let (source, target) = (&self.source, &self.target);
         let (source_mass, target_mass, scale) = unit_masses(source, target);
-        let Scratch { projected, starts, pairs, masses, pulled, .. } = s;
-        sort(&projected[offset..][..source.count], starts, pairs);
+        let Scratch { projected, deal, pairs, masses, pulled, .. } = s;
+        sort(&projected[offset..][..source.count], deal, pairs);
         if let Some(weights) = &source.weights {
             masses.clear();
             masses.extend(pairs.iter().map(|pair| weights[pair.1 as usize]));

@@ -13,6 +13,9 @@ use crate::sparse::Csr;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
 use rayon::prelude::*;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
 
 /// The matrix M of a pencil.
 #[derive(Debug, Clone, Copy)]
@@ -53,6 +56,9 @@ const ROWS: usize = 1024; // rows of one parallel task in the dense products; fi
 const DENSE: usize = 256; // matrices up to this size are solved densely
 const TOLERANCE: f64 = 1e-11; // of a Ritz pair, relative to its θ
 const MAX_BLOCKS: usize = 1000;
+const ROOMY: usize = 256; // columns that a basis has to spare at most where it is small
+const SMALL: usize = 1 << 23; // numbers of such a basis
+const GLANCE: Duration = Duration::from_millis(20); // between looks whether dense work is still wanted
 const FAR: f64 = 100.0; // a default shift this many times the largest value wanted is chosen again
 const ROUNDING: f64 = 1e-12; // values below this share of the matrix's scale are zeros
 const ACCEPTED: f64 = 1e-5; // residual that is handed out, relative to the largest of the values and the shift
@@ -138,16 +144,14 @@ fn symmetric(matrix: &Csr, name: &str) -> Result<()> {
     Ok(())
 }
 
-fn without_massless(matrix: &Csr, mass: &[f64], kept: &[usize], k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
-    let n = matrix.rows();
-    let mut number = vec![u32::MAX; n];
+/// The rows and columns of a matrix that are kept, ascending numbers.
+fn restricted(matrix: &Csr, kept: &[usize]) -> Csr {
+    if kept.len() == matrix.rows() {
+        return matrix.clone();
+    }
+    let mut number = vec![u32::MAX; matrix.columns()];
     for (new, &old) in kept.iter().enumerate() {
         number[old] = new as u32;
-    }
-    if let Some(row) = (0..n).find(|&row| number[row] == u32::MAX && matrix.row(row).1.iter().any(|&value| value != 0.0)) {
-        return Err(Error::numerical(format!(
-            "unknown {row} has no mass but is coupled to others: the pencil has an infinite eigenvalue; repair the faces around it"
-        )));
     }
     let (mut starts, mut indices, mut values) = (vec![0], Vec::new(), Vec::new());
     for &old in kept {
@@ -158,7 +162,17 @@ fn without_massless(matrix: &Csr, mass: &[f64], kept: &[usize], k: usize, option
         }
         starts.push(indices.len());
     }
-    let smaller = Csr::trusted(kept.len(), kept.len(), starts, indices, values);
+    Csr::trusted(kept.len(), kept.len(), starts, indices, values)
+}
+
+fn without_massless(matrix: &Csr, mass: &[f64], kept: &[usize], k: usize, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
+    let n = matrix.rows();
+    if let Some(row) = (0..n).find(|&row| mass[row] == 0.0 && matrix.row(row).1.iter().any(|&value| value != 0.0)) {
+        return Err(Error::numerical(format!(
+            "unknown {row} has no mass but is coupled to others: the pencil has an infinite eigenvalue; repair the faces around it"
+        )));
+    }
+    let smaller = restricted(matrix, kept);
     let rows = |numbers: &[f64], width: usize| -> Vec<f64> {
         kept.iter().flat_map(|&old| numbers[old * width..][..width].iter().copied()).collect()
     };
@@ -227,38 +241,42 @@ impl Basis {
         self.width += width;
     }
 
-    /// V^T W.
-    fn inner(&self, block: &[f64], width: usize) -> Mat<f64> {
+    /// V^T W for the columns of V from `first` on.
+    fn inner(&self, first: usize, block: &[f64], width: usize, control: &Control) -> Result<Mat<f64>> {
         let parts: Vec<Mat<f64>> = self
             .numbers
             .par_chunks(ROWS * self.room)
             .zip(block.par_chunks(ROWS * width))
             .map(|(rows, block)| {
+                control.check()?;
                 let count = block.len() / width;
-                let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room);
+                let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room).subcols(first, self.width - first);
                 let right = MatRef::from_row_major_slice(block, count, width);
-                let mut part = Mat::zeros(self.width, width);
+                let mut part = Mat::zeros(self.width - first, width);
                 matmul(part.as_mut(), Accum::Replace, left.transpose(), right, 1.0, Par::Seq);
-                part
+                Ok(part)
             })
-            .collect();
-        parts.into_iter().fold(Mat::zeros(self.width, width), |sum, part| sum + part)
+            .collect::<Result<_>>()?;
+        Ok(parts.into_iter().fold(Mat::zeros(self.width - first, width), |sum, part| sum + part))
     }
 
-    /// W - V C, in place.
-    fn subtract(&self, block: &mut [f64], width: usize, coefficients: &Mat<f64>) {
-        block.par_chunks_mut(ROWS * width).zip(self.numbers.par_chunks(ROWS * self.room)).for_each(|(block, rows)| {
+    /// W - V C for the columns of V from `first` on, in place.
+    fn subtract(&self, first: usize, block: &mut [f64], width: usize, coefficients: &Mat<f64>, control: &Control) -> Result<()> {
+        block.par_chunks_mut(ROWS * width).zip(self.numbers.par_chunks(ROWS * self.room)).try_for_each(|(block, rows)| {
+            control.check()?;
             let count = block.len() / width;
-            let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room);
+            let left = MatRef::from_row_major_slice_with_stride(rows, count, self.width, self.room).subcols(first, self.width - first);
             let target = MatMut::from_row_major_slice_mut(block, count, width);
             matmul(target, Accum::Add, left, coefficients.as_ref(), -1.0, Par::Seq);
-        });
+            Ok(())
+        })
     }
 
     /// V S in place of V.
-    fn rotate(&mut self, coefficients: MatRef<f64>) {
+    fn rotate(&mut self, coefficients: MatRef<f64>, control: &Control) -> Result<()> {
         let (room, width, columns) = (self.room, self.width, coefficients.ncols());
-        self.numbers.par_chunks_mut(ROWS * room).for_each(|rows| {
+        self.numbers.par_chunks_mut(ROWS * room).try_for_each(|rows| {
+            control.check()?;
             let count = rows.len() / room;
             let mut turned = Mat::zeros(count, columns);
             let left = MatRef::from_row_major_slice_with_stride(rows, count, width, room);
@@ -266,8 +284,10 @@ impl Basis {
             for (i, row) in rows.chunks_exact_mut(room).enumerate() {
                 (0..columns).for_each(|j| row[j] = turned[(i, j)]);
             }
-        });
+            Ok(())
+        })?;
         self.width = columns;
+        Ok(())
     }
 
     /// The columns alone, row after row.
@@ -284,35 +304,68 @@ impl Basis {
 }
 
 /// W C for a block W, row after row.
-fn transform(block: &[f64], width: usize, coefficients: MatRef<f64>) -> Vec<f64> {
+fn transform(block: &[f64], width: usize, coefficients: MatRef<f64>, control: &Control) -> Result<Vec<f64>> {
     let (n, out_width) = (block.len() / width, coefficients.ncols());
     let mut out = vec![0.0; n * out_width];
-    out.par_chunks_mut(ROWS * out_width).zip(block.par_chunks(ROWS * width)).for_each(|(out, block)| {
+    out.par_chunks_mut(ROWS * out_width).zip(block.par_chunks(ROWS * width)).try_for_each(|(out, block)| {
+        control.check()?;
         let count = block.len() / width;
         let source = MatRef::from_row_major_slice(block, count, width);
         matmul(MatMut::from_row_major_slice_mut(out, count, out_width), Accum::Replace, source, coefficients, 1.0, Par::Seq);
-    });
-    out
+        Ok(())
+    })?;
+    Ok(out)
 }
 
 /// X^T Y for two blocks of one width.
-fn gram(x: &[f64], y: &[f64], width: usize) -> Mat<f64> {
+fn gram(x: &[f64], y: &[f64], width: usize, control: &Control) -> Result<Mat<f64>> {
     let parts: Vec<Mat<f64>> = x
         .par_chunks(ROWS * width)
         .zip(y.par_chunks(ROWS * width))
         .map(|(x, y)| {
+            control.check()?;
             let count = x.len() / width;
             let (x, y) = (MatRef::from_row_major_slice(x, count, width), MatRef::from_row_major_slice(y, count, width));
             let mut part = Mat::zeros(width, width);
             matmul(part.as_mut(), Accum::Replace, x.transpose(), y, 1.0, Par::Seq);
-            part
+            Ok(part)
         })
-        .collect();
-    parts.into_iter().fold(Mat::zeros(width, width), |sum, part| sum + part)
+        .collect::<Result<_>>()?;
+    Ok(parts.into_iter().fold(Mat::zeros(width, width), |sum, part| sum + part))
+}
+
+/// What `work` makes, on a thread of its own that nobody waits for any longer once the caller wants to stop: the dense factorizations
+/// cannot be asked to end.
+fn apart<T: Send + 'static>(control: &Control, work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
+    let (send, receive) = channel();
+    std::thread::Builder::new()
+        .name("beltrami-dense".into())
+        .stack_size(16 << 20)
+        .spawn(move || {
+            let _ = send.send(catch_unwind(AssertUnwindSafe(work)));
+        })
+        .map_err(|error| Error::numerical(format!("a thread for a dense eigenproblem cannot be started: {error}")))?;
+    loop {
+        match receive.recv_timeout(GLANCE) {
+            Ok(Ok(answer)) => return answer,
+            Ok(Err(panic)) => resume_unwind(panic),
+            Err(RecvTimeoutError::Timeout) => control.check()?,
+            Err(RecvTimeoutError::Disconnected) => return Err(Error::numerical("a dense eigenproblem ended without an answer")),
+        }
+    }
+}
+
+/// [`symmetric_eigen`], given up when the caller wants to stop.
+fn dense_eigen(matrix: MatRef<f64>, control: &Control) -> Result<(Vec<f64>, Mat<f64>)> {
+    if matrix.nrows() <= DENSE {
+        return symmetric_eigen(matrix);
+    }
+    let matrix = matrix.to_owned();
+    apart(control, move || symmetric_eigen(matrix.as_ref()))
 }
 
 /// Eigenvalues (ascending) and vectors of a symmetric matrix.
-fn dense_eigen(matrix: MatRef<f64>) -> Result<(Vec<f64>, Mat<f64>)> {
+fn symmetric_eigen(matrix: MatRef<f64>) -> Result<(Vec<f64>, Mat<f64>)> {
     let broken = || {
         Error::numerical(
             "a projected eigenproblem could not be solved: the matrices are too badly scaled; use laplacian=\"intrinsic_delaunay\"",
@@ -332,6 +385,48 @@ fn dense_eigen(matrix: MatRef<f64>) -> Result<(Vec<f64>, Mat<f64>)> {
         return Err(broken());
     }
     Ok((values, found.U().to_owned()))
+}
+
+/// All eigenvalues and vectors of a pencil, the mass a matrix or a diagonal.
+fn dense_pencil(matrix: &Csr, mass: std::result::Result<Csr, Vec<f64>>) -> Result<(Vec<f64>, Mat<f64>)> {
+    let n = matrix.rows();
+    let full = |matrix: &Csr| {
+        let mut dense = Mat::<f64>::zeros(n, n);
+        for row in 0..n {
+            let (columns, values) = matrix.row(row);
+            for (&column, &value) in columns.iter().zip(values) {
+                dense[(row, column as usize)] = value;
+            }
+        }
+        dense
+    };
+    let mut a = full(matrix);
+    // Reduce to a standard problem: C^-1 A C^-T with M = C C^T.
+    match mass {
+        Err(diagonal) => {
+            let scale: Vec<f64> = diagonal.iter().map(|m| 1.0 / m.sqrt()).collect();
+            for j in 0..n {
+                for i in 0..n {
+                    a[(i, j)] *= scale[i] * scale[j];
+                }
+            }
+            let (values, mut vectors) = symmetric_eigen(a.as_ref())?;
+            for j in 0..n {
+                for i in 0..n {
+                    vectors[(i, j)] *= scale[i];
+                }
+            }
+            Ok((values, vectors))
+        }
+        Ok(mass) => {
+            let lower =
+                full(&mass).llt(Side::Lower).map_err(|_| Error::numerical("the mass matrix is not positive definite"))?.L().to_owned();
+            let mut back = Mat::<f64>::identity(n, n);
+            faer::linalg::triangular_solve::solve_lower_triangular_in_place(lower.as_ref(), back.as_mut(), Par::Seq);
+            let (values, vectors) = symmetric_eigen((&back * &a * back.transpose()).as_ref())?;
+            Ok((values, back.transpose() * &vectors))
+        }
+    }
 }
 
 impl Pencil<'_> {
@@ -435,7 +530,7 @@ impl Pencil<'_> {
             )))
         };
         // With most of the spectrum wanted the basis would be the whole space.
-        if self.n <= DENSE || (3 * k + 4 * BLOCK > self.n && self.n <= 8 * DENSE) {
+        if self.n <= DENSE || 2 * k > self.n || (3 * k + 4 * BLOCK > self.n && self.n <= 8 * DENSE) {
             let found = self.dense(k, options.shift, control)?.checked(self)?;
             return match failed(&found, scale) {
                 Some(pair) => refused(&found, 0.0, pair),
@@ -489,74 +584,102 @@ impl Pencil<'_> {
         let mut next = vec![0.0; right.len()];
         factor.solve_block_into(&right, k, &mut next, &mut Scratch::default())?;
         control.check()?;
-        let (mass, projected) =
-            (gram(&next, &self.mass_times(&next, k)?, k), gram(&next, &self.shifted(shift)?.multiply_block(&next, k)?, k));
+        let (mass, projected) = (
+            gram(&next, &self.mass_times(&next, k)?, k, control)?,
+            gram(&next, &self.shifted(shift)?.multiply_block(&next, k)?, k, control)?,
+        );
         let scale: Vec<f64> = (0..k).map(|i| 1.0 / mass[(i, i)].sqrt()).collect();
         let unit = |matrix: &Mat<f64>| Mat::from_fn(k, k, |i, j| 0.5 * (matrix[(i, j)] + matrix[(j, i)]) * scale[i] * scale[j]);
-        let (sizes, turn) = dense_eigen(unit(&mass).as_ref())?;
+        let (sizes, turn) = dense_eigen(unit(&mass).as_ref(), control)?;
         if sizes[0] <= 0.0 {
             return Ok(found);
         }
         let white = Mat::from_fn(k, k, |i, j| scale[i] * turn[(i, j)] / sizes[j].sqrt());
         let projected = Mat::from_fn(k, k, |i, j| 0.5 * (projected[(i, j)] + projected[(j, i)]));
-        let (_, vectors) = dense_eigen((white.transpose() * &projected * &white).as_ref())?;
-        let vectors = transform(&next, k, (&white * &vectors).as_ref());
+        let (_, vectors) = dense_eigen((white.transpose() * &projected * &white).as_ref(), control)?;
+        let vectors = transform(&next, k, (&white * &vectors).as_ref(), control)?;
         let better = Eigenpairs { vectors, ..found.clone() }.checked(self)?;
         let worst = |pairs: &Eigenpairs| pairs.residuals.iter().fold(0.0, |worst: f64, &rest| worst.max(rest));
         Ok(if worst(&better) < worst(&found) { better } else { found })
     }
 
+    /// Densely, each connected part by itself.
     fn dense(&self, k: usize, shift: Option<f64>, control: &Control) -> Result<Eigenpairs> {
-        let n = self.n;
-        control.check()?;
-        let full = |matrix: &Csr| {
-            let mut dense = Mat::<f64>::zeros(n, n);
-            for row in 0..n {
-                let (columns, values) = matrix.row(row);
-                for (&column, &value) in columns.iter().zip(values) {
-                    dense[(row, column as usize)] = value;
-                }
+        let parts = self.parts();
+        let mut found = Vec::with_capacity(parts.len());
+        let mut done = 0.0;
+        let whole: f64 = parts.iter().map(|part| (part.len() as f64).powi(3)).sum();
+        for part in &parts {
+            let matrix = restricted(self.matrix, part);
+            let mass = match self.mass {
+                Mass::Diagonal(diagonal) => Err(part.iter().map(|&row| diagonal[row]).collect()),
+                Mass::Matrix(matrix) => Ok(restricted(matrix, part)),
+            };
+            found.push(if part.len() <= DENSE {
+                dense_pencil(&matrix, mass)?
+            } else {
+                apart(control, move || dense_pencil(&matrix, mass))?
+            });
+            done += (part.len() as f64).powi(3) / whole;
+            control.report(done.min(0.99))?;
+        }
+        let mut chosen: Vec<(f64, usize, usize)> = found
+            .iter()
+            .enumerate()
+            .flat_map(|(part, (values, _))| values.iter().enumerate().map(move |(j, &value)| (value, part, j)))
+            .collect();
+        let rank = |value: f64| shift.map_or(value, |shift| (value - shift).abs());
+        chosen.sort_by(|a, b| rank(a.0).total_cmp(&rank(b.0)));
+        chosen.truncate(k);
+        let mut vectors = vec![0.0; self.n * k];
+        for (column, &(_, part, j)) in chosen.iter().enumerate() {
+            for (i, &row) in parts[part].iter().enumerate() {
+                vectors[row * k + column] = found[part].1[(i, j)];
             }
-            dense
-        };
-        let mut a = full(self.matrix);
-        // Reduce to a standard problem: C^-1 A C^-T with M = C C^T.
-        let back: Mat<f64> = match self.mass {
-            Mass::Diagonal(diagonal) => {
-                let scale: Vec<f64> = diagonal.iter().map(|m| 1.0 / m.sqrt()).collect();
-                for j in 0..n {
-                    for i in 0..n {
-                        a[(i, j)] *= scale[i] * scale[j];
+        }
+        Ok(Eigenpairs { values: chosen.iter().map(|chosen| chosen.0).collect(), vectors, residuals: Vec::new(), iterations: 0 })
+    }
+
+    /// The unknowns that entries of the matrices connect, part after part, each ascending.
+    fn parts(&self) -> Vec<Vec<usize>> {
+        let mut parts = Vec::new();
+        let mut seen = vec![false; self.n];
+        for first in 0..self.n {
+            if std::mem::replace(&mut seen[first], true) {
+                continue;
+            }
+            let mut part = vec![first];
+            let mut next = 0;
+            while next < part.len() {
+                let row = part[next];
+                next += 1;
+                let others = match self.mass {
+                    Mass::Matrix(matrix) => matrix.row(row).0,
+                    Mass::Diagonal(_) => &[],
+                };
+                for &column in self.matrix.row(row).0.iter().chain(others) {
+                    if !std::mem::replace(&mut seen[column as usize], true) {
+                        part.push(column as usize);
                     }
                 }
-                let (values, mut vectors) = dense_eigen(a.as_ref())?;
-                for j in 0..n {
-                    for i in 0..n {
-                        vectors[(i, j)] *= scale[i];
-                    }
-                }
-                return Ok(Eigenpairs::from_columns(&values, vectors.as_ref(), k, shift));
             }
-            Mass::Matrix(matrix) => {
-                let lower =
-                    full(matrix).llt(Side::Lower).map_err(|_| Error::numerical("the mass matrix is not positive definite"))?.L().to_owned();
-                let mut inverse = Mat::<f64>::identity(n, n);
-                faer::linalg::triangular_solve::solve_lower_triangular_in_place(lower.as_ref(), inverse.as_mut(), Par::Seq);
-                inverse
-            }
-        };
-        let (values, vectors) = dense_eigen((&back * &a * back.transpose()).as_ref())?;
-        Ok(Eigenpairs::from_columns(&values, (back.transpose() * &vectors).as_ref(), k, shift))
+            part.sort_unstable();
+            parts.push(part);
+        }
+        parts
     }
 
     fn lanczos(&self, k: usize, shift: f64, factor: &Factor, options: &EigenOptions, control: &Control) -> Result<Eigenpairs> {
         let n = self.n;
         let given = options.start.map_or(0, |(_, width)| width.min(k + BLOCK));
         let start_width = (given + BLOCK).min(n);
-        let room = (k + (k + k / 4).max(5 * BLOCK) + 2 * start_width).min(n);
+        // More room means fewer solves; where the basis stays small beside everything else it has as much as pays.
+        let spare = (k + k / 4).min(ROOMY).min((SMALL / n).saturating_sub(k)).max(k / 2).max(5 * BLOCK);
+        let room = (k + spare + 2 * start_width).min(n);
         let mut search = Search {
             pencil: self,
             factor,
+            control,
             basis: Basis::new(n, room)?,
             projected: Mat::zeros(room, room),
             sequence: Sequence(0),
@@ -580,11 +703,11 @@ impl Pencil<'_> {
         let most = MAX_BLOCKS.max(4 * room / BLOCK);
         for blocks in 1..=most {
             control.check()?;
-            search.expand(control)?;
+            search.expand()?;
             let full = search.basis.width == n && search.block.is_empty();
             let crowded = search.basis.width + search.width() > room;
             // While it looks for missing copies a fresh block gets all the room: they must have the time to appear.
-            let due = full || crowded || (known.is_none() && search.basis.width >= k + BLOCK && blocks % 2 == 0);
+            let due = full || crowded || (known.is_none() && search.basis.width >= k + k / 2 + BLOCK && blocks % 3 == 0);
             if !due {
                 control.report((search.basis.width as f64 / room as f64).min(0.99))?;
                 continue;
@@ -596,7 +719,7 @@ impl Pencil<'_> {
                 let last_search_found_nothing =
                     known.as_ref().is_some_and(|known| known.iter().zip(&values).all(|(a, b)| (a - b).abs() <= 1e-9 * a.abs()));
                 if full || last_search_found_nothing || !has_large_cluster(&values) {
-                    search.basis.rotate(vectors.as_ref().subcols(0, k));
+                    search.basis.rotate(vectors.as_ref().subcols(0, k), control)?;
                     return Ok(Eigenpairs {
                         values: values.iter().map(|theta| shift + 1.0 / theta).collect(),
                         vectors: search.basis.into_block(),
@@ -641,6 +764,7 @@ impl Factor {
 struct Search<'a> {
     pencil: &'a Pencil<'a>,
     factor: &'a Factor,
+    control: &'a Control,
     basis: Basis,
     projected: Mat<f64>,
     sequence: Sequence,
@@ -656,27 +780,29 @@ impl Search<'_> {
     }
 
     /// Takes the block into the basis, applies the operator to it and makes the next block.
-    fn expand(&mut self, control: &Control) -> Result<()> {
+    fn expand(&mut self) -> Result<()> {
         let (first, width) = (self.basis.width, self.width());
+        // The operator couples a block with itself and with the one before alone, after a restart with all that was kept.
+        let near = if self.coupling.ncols() == 0 { 0 } else { first - self.coupling.ncols() };
         self.basis.push(&self.block, width);
         let mut next = vec![0.0; self.mass_block.len()];
         self.factor.solve_block_into(&self.mass_block, width, &mut next, &mut self.scratch)?;
-        control.check()?;
+        self.control.check()?;
         if next.iter().any(|number| !number.is_finite()) {
             return Err(Error::numerical(
                 "a solve of the eigenproblem overflowed; rescale the shape, or use laplacian=\"intrinsic_delaunay\"",
             ));
         }
-        let coefficients = self.orthogonalize(&mut next, width)?;
+        let coefficients = self.orthogonalize(near, &mut next, width)?;
         for j in 0..width {
-            for i in 0..self.basis.width {
-                self.projected[(i, first + j)] = coefficients[(i, j)];
-                self.projected[(first + j, i)] = coefficients[(i, j)];
+            for i in near..self.basis.width {
+                self.projected[(i, first + j)] = coefficients[(i - near, j)];
+                self.projected[(first + j, i)] = coefficients[(i - near, j)];
             }
         }
         for i in 0..width {
             for j in 0..i {
-                let mean = 0.5 * (coefficients[(first + i, j)] + coefficients[(first + j, i)]);
+                let mean = 0.5 * (coefficients[(first - near + i, j)] + coefficients[(first - near + j, i)]);
                 self.projected[(first + i, first + j)] = mean;
                 self.projected[(first + j, first + i)] = mean;
             }
@@ -685,13 +811,13 @@ impl Search<'_> {
         self.normalize(next, width, room)
     }
 
-    /// W - V (V^T M W), in place; the coefficients. What rounding leaves is taken off when the block is made orthonormal.
-    fn orthogonalize(&self, block: &mut [f64], width: usize) -> Result<Mat<f64>> {
+    /// W - V (V^T M W) for the columns of V from `first` on, in place; the coefficients.
+    fn orthogonalize(&self, first: usize, block: &mut [f64], width: usize) -> Result<Mat<f64>> {
         if self.basis.width == 0 {
             return Ok(Mat::zeros(0, width));
         }
-        let coefficients = self.basis.inner(&self.pencil.mass_times(block, width)?, width);
-        self.basis.subtract(block, width, &coefficients);
+        let coefficients = self.basis.inner(first, &self.pencil.mass_times(block, width)?, width, self.control)?;
+        self.basis.subtract(first, block, width, &coefficients, self.control)?;
         Ok(coefficients)
     }
 
@@ -711,7 +837,7 @@ impl Search<'_> {
         } else if kept == got {
             q
         } else {
-            transform(&q, got, Mat::<f64>::identity(got, got).as_ref().subcols(0, kept))
+            transform(&q, got, Mat::<f64>::identity(got, got).as_ref().subcols(0, kept), self.control)?
         };
         if kept > 0 {
             self.mass_block = self.pencil.mass_times(&self.block, kept)?;
@@ -722,7 +848,7 @@ impl Search<'_> {
 
     /// A block that is not coupled to the basis.
     fn fresh_block(&mut self, mut block: Vec<f64>, width: usize) -> Result<()> {
-        self.orthogonalize(&mut block, width)?;
+        self.orthogonalize(0, &mut block, width)?;
         let (q, _) = self.orthonormal(block, width, 1e-10)?;
         self.block = q;
         let kept = self.width();
@@ -741,13 +867,14 @@ impl Search<'_> {
         let mut r = Mat::<f64>::identity(width, width);
         let mut columns = width;
         for pass in 0..4 {
-            if pass > 0 && columns > 0 {
-                self.orthogonalize(&mut block, columns)?;
-            }
             if columns == 0 {
                 break;
             }
-            let inner = gram(&block, &self.pencil.mass_times(&block, columns)?, columns);
+            // what rounding has left of the whole basis, once the block is of unit size; later passes only polish within the block
+            if pass == 1 {
+                self.orthogonalize(0, &mut block, columns)?;
+            }
+            let inner = gram(&block, &self.pencil.mass_times(&block, columns)?, columns, self.control)?;
             let scale: Vec<f64> = (0..columns).map(|i| inner[(i, i)].max(0.0).sqrt()).collect();
             let largest = scale.iter().fold(0.0, |a: f64, &b| a.max(b));
             if largest == 0.0 {
@@ -767,7 +894,7 @@ impl Search<'_> {
             if pass > 0 && off < 1e-14 * columns as f64 {
                 break;
             }
-            let (values, vectors) = dense_eigen(normed.as_ref())?;
+            let (values, vectors) = dense_eigen(normed.as_ref(), self.control)?;
             // In the first pass a direction of no weight is noise; later ones only polish.
             let floor = if pass == 0 { drop * drop } else { 0.0 };
             let kept: Vec<usize> = (0..columns).filter(|&i| values[i] > floor * columns as f64 && values[i] > 0.0).collect();
@@ -780,7 +907,7 @@ impl Search<'_> {
                     backward[(new, i)] = root * vectors[(i, old)] * scale[i];
                 }
             }
-            block = transform(&block, columns, forward.as_ref());
+            block = transform(&block, columns, forward.as_ref(), self.control)?;
             r = &backward * &r;
             columns = kept.len();
         }
@@ -794,7 +921,7 @@ impl Search<'_> {
     /// Ritz values by descending size of θ, vectors in the basis, and the error of each.
     fn ritz(&self) -> Result<(Vec<f64>, Mat<f64>, Vec<f64>)> {
         let size = self.basis.width;
-        let (values, vectors) = dense_eigen(self.projected.as_ref().submatrix(0, 0, size, size))?;
+        let (values, vectors) = dense_eigen(self.projected.as_ref().submatrix(0, 0, size, size), self.control)?;
         let mut order: Vec<usize> = (0..size).rev().collect();
         order.sort_by(|&a, &b| values[b].abs().total_cmp(&values[a].abs()));
         let theta: Vec<f64> = order.iter().map(|&i| values[i]).collect();
@@ -811,7 +938,7 @@ impl Search<'_> {
         let last = self.coupling.ncols();
         let size = self.basis.width;
         let arrow = &self.coupling * vectors.as_ref().submatrix(size - last, 0, last, keep);
-        self.basis.rotate(vectors.as_ref().subcols(0, keep));
+        self.basis.rotate(vectors.as_ref().subcols(0, keep), self.control)?;
         let room = self.basis.room;
         self.projected = Mat::zeros(room, room);
         for (i, &value) in theta[..keep].iter().enumerate() {
@@ -828,17 +955,6 @@ impl Search<'_> {
 }
 
 impl Eigenpairs {
-    /// The k nearest to the shift, the smallest without one.
-    fn from_columns(values: &[f64], vectors: MatRef<f64>, k: usize, shift: Option<f64>) -> Self {
-        let mut chosen: Vec<usize> = (0..values.len()).collect();
-        if let Some(shift) = shift {
-            chosen.sort_by(|&a, &b| (values[a] - shift).abs().total_cmp(&(values[b] - shift).abs()));
-        }
-        chosen.truncate(k);
-        let vectors = (0..vectors.nrows()).flat_map(|i| chosen.iter().map(move |&j| vectors[(i, j)])).collect();
-        Eigenpairs { values: chosen.iter().map(|&j| values[j]).collect(), vectors, residuals: Vec::new(), iterations: 0 }
-    }
-
     /// Sorted, with fixed signs, Rayleigh quotients as values, and the residuals. No second block of vectors is held.
     fn checked(mut self, pencil: &Pencil) -> Result<Self> {
         let k = self.values.len();

@@ -252,3 +252,59 @@ def test_plot_shows_the_modes_asked_for(tmp_path):
         modes.plot(4)
     with pytest.raises(bt.InputError, match="matrices"):
         bt.eigenpairs(sparse.diags_array([1.0, 2.0]), 1).plot()
+
+
+SHAPES = {
+    "sphere": lambda: bt.shapes.sphere(frequency=9),
+    "small sphere": lambda: bt.shapes.sphere(frequency=8, radius=1e-3),
+    "ellipsoid": lambda: bt.shapes.ellipsoid(frequency=9),
+    "needle": lambda: bt.shapes.ellipsoid(3.0, 0.2, 0.1, frequency=9),
+    "torus": lambda: bt.shapes.torus(rows=40, columns=20),
+    "thin torus": lambda: bt.shapes.torus(1.0, 0.05, rows=90, columns=8),
+    "flat torus": lambda: bt.shapes.flat_torus(rows=24, columns=24),
+    "flat torus of two radii": lambda: bt.shapes.flat_torus(1.0, 0.3, rows=30, columns=18),
+    "square": lambda: bt.shapes.grid(25, 25),
+    "ribbon": lambda: bt.shapes.grid(120, 5, width=30.0),
+    "huge square": lambda: bt.shapes.grid(21, 31, width=1e4, height=2e4),
+    "cylinder": lambda: bt.shapes.cylinder(rows=20, columns=30),
+    "tin": lambda: bt.shapes.cylinder(rows=20, columns=30, closed=True),
+    "disc": lambda: bt.shapes.disc(rings=14),
+    "trefoil": lambda: bt.shapes.knot(rows=90, columns=8),
+    "knot": lambda: bt.shapes.knot(3, 5, rows=110, columns=8),
+    "figure eight": lambda: bt.shapes.figure_eight(resolution=6),
+    "triple torus": lambda: bt.shapes.triple_torus(resolution=6),
+    "star": lambda: bt.shapes.star(resolution=6),
+    "y": lambda: bt.shapes.y(resolution=6),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_twenty_shapes_against_scipy(name):
+    """The same pencil in ARPACK. It misses copies of multiple eigenvalues, so the shapes are made a little uneven."""
+    mesh, k = SHAPES[name](), 20
+    noise = np.random.default_rng(1).normal(size=mesh.vertices.shape)
+    ops = bt.operators(bt.TriangleMesh(mesh.vertices + 0.05 * bt.operators(mesh).spacing * noise, mesh.faces))
+    e = bt.eigenpairs(ops, k)
+    assert e.iterations > 0, "too small: solved densely"
+    pencil = sparse.csc_array(ops.stiffness), sparse.diags_array(ops.mass).tocsc()
+    peer = np.sort(scipy.sparse.linalg.eigsh(pencil[0], k, pencil[1], sigma=-0.05 * e.values[-1], tol=1e-12, ncv=3 * k)[0])
+    assert abs(e.values - peer).max() < 1e-9 * peer[-1]
+    check(ops, e, k)
+
+
+def test_all_pairs_of_many_pieces():
+    """With most of the spectrum wanted each piece is solved by itself; a function lives on one piece unless pieces are alike."""
+    pieces = [bt.shapes.sphere(frequency=3), bt.shapes.torus(rows=12, columns=8), bt.shapes.disc(rings=5), bt.shapes.grid(9, 8)]
+    starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])
+    vertices = np.vstack([np.c_[p.vertices, np.zeros((len(p.vertices), 3 - p.dimension))] for p in pieces])
+    faces = np.vstack([piece.faces + start for piece, start in zip(pieces, starts, strict=False)])
+    order = np.random.default_rng(2).permutation(len(vertices))
+    ops = bt.operators(bt.TriangleMesh(vertices[order], np.argsort(order)[faces]))
+    n = len(order)
+    e = bt.eigenpairs(ops, n)
+    check(ops, e, n)
+    assert np.allclose(e.values, dense_values(ops.stiffness, ops.mass, n), rtol=1e-10, atol=1e-11 * e.values[-1])
+    some = bt.eigenpairs(ops, n // 2 + 1)
+    assert np.allclose(some.values, e.values[: n // 2 + 1], rtol=1e-10, atol=1e-11 * e.values[-1])
+    full = bt.eigenpairs(ops.stiffness, n, mass=ops.mass[:, None] * sparse.eye_array(n))
+    assert np.allclose(full.values, e.values, rtol=1e-10, atol=1e-11 * e.values[-1])

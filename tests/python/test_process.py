@@ -43,6 +43,7 @@ if __name__ == "__main__":
 
 LONG = {
     "eigenpairs": "bt.eigenpairs(bt.shapes.sphere(frequency=120), 400)",
+    "all eigenpairs": "bt.eigenpairs(bt.shapes.sphere(frequency=20), 4002)",
     "Cholesky": "a = bt.operators(bt.shapes.sphere(8)); bt.Cholesky(a.stiffness + sparse.diags_array(a.mass))",
     "Cholesky without coordinates": """
 side = 1000
