@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -41,8 +42,12 @@ Orientation = Literal["preserving", "reversing", "any"]
 BLUR = 0.01  # share of the area over which the factor of a map is averaged
 COARSE_BLUR = 0.3  # the same for the weights of upsampling, where only the factor's main course matters
 CONFORMAL = 0.02  # logarithmic misfit of the landmarks' cross-ratios below which two shapes count as conformal
+INVARIANT = 0.1  # the same for potentials on shapes of any topology, which feel the mesh around each landmark
 SMOOTH = 100.0  # roughness of the factor from which a map is so poor that other guesses are worth their time
 ANCHOR = 3.0  # weight of the spherical features beside the bases of a shape of unit area
+CHARGES = 16  # pairs of a feature map that potentials are made of
+WORTH = 3.0  # so much rougher may a map be that hits the landmarks
+MISSED = 0.1  # share of sqrt(area) from which on a landmark is missed
 TRUSTED = 0.05  # share of sqrt(area) there and back at which the confidence has fallen to 1 / e
 
 
@@ -305,6 +310,7 @@ class _Candidate:
     eta: Floats
     roughness: float
     anchors: tuple[Floats, Floats] | None = None  # features that the map came from
+    binding: bool = False  # the shapes are conformal, so that these features are the same on both
 
 
 def _candidate(
@@ -315,10 +321,11 @@ def _candidate(
     backward: Indices,
     marks: Indices,
     anchors: tuple[Floats, Floats] | None = None,
+    binding: bool = False,
 ) -> _Candidate:
     eta, back = factor_of_map(source, target, forward), factor_of_map(target, source, backward)
     rough = float(eta @ (target.stiffness @ eta)) + float(back @ (source.stiffness @ back))
-    return _Candidate(name, forward, backward, marks, eta, rough, anchors)
+    return _Candidate(name, forward, backward, marks, eta, rough, anchors, binding)
 
 
 def _aligned(source: Surface, phi: Floats, psi: Floats, weight: Floats, forward: Indices, backward: Indices) -> Floats:
@@ -329,8 +336,21 @@ def _aligned(source: Surface, phi: Floats, psi: Floats, weight: Floats, forward:
     return found
 
 
-def _smoothest(candidates: Sequence[_Candidate]) -> _Candidate:
-    """The least rough; of equals, as the turns of a symmetric shape are, the first, which was made from the landmarks."""
+def _smoothest(task: _Task, candidates: Sequence[_Candidate]) -> _Candidate:
+    """The least rough; of equals, as the turns of a symmetric shape are, the first, which was made from the landmarks. Maps that miss most
+    of the landmarks count only where the others are far rougher, as for landmarks that cannot be right; and where the shapes proved to
+    be conformal, only those count that keep what is invariant then."""
+    for sure in (one for one in candidates if one.binding and one.anchors is not None):
+        first, second = sure.anchors  # type: ignore[misc]
+        off = [float(task.source.mass @ np.square(first - second[one.forward]).sum(1)) for one in candidates]
+        least = off[candidates.index(sure)]
+        candidates = [one for one, value in zip(candidates, off, strict=True) if value <= 4 * least + 1e-6]
+        break
+    if len(task.marks):
+        true = [one for one in candidates if (task.missed(one.forward) > MISSED).mean() <= 0.5]
+        least = min(one.roughness for one in candidates)
+        if true and min(one.roughness for one in true) <= WORTH * least:
+            candidates = true
     least = min(one.roughness for one in candidates)
     return next(one for one in candidates if one.roughness <= (1 + 1e-6) * least)
 
@@ -604,6 +624,15 @@ class _Task:
     orientation: Orientation
     notes: list[str]
 
+    @cached_property
+    def _from_marks(self) -> Floats:
+        return self.target.distances(self.marks[:, 1])
+
+    def missed(self, forward: Indices) -> Floats:
+        """How far a map takes each landmark from where it belongs, over sqrt(area)."""
+        found: Floats = self._from_marks[np.arange(len(self.marks)), forward[self.marks[:, 0]]]
+        return found
+
 
 def _landmarks(value: Any, count: int, other: int) -> Indices:
     if value is None:
@@ -736,7 +765,7 @@ def register_conformal(
 
     candidates, settled = _starts(task, start, report)
     report(0.4)
-    best = _smoothest(candidates)
+    best = _smoothest(task, candidates)
     size = max(k, min(finest or k, min(counts) // 4))
     pairs = eigenpairs(a.stiffness, size, mass=a.mass)
     if finest is not None:
@@ -745,14 +774,14 @@ def register_conformal(
             candidates.append(_upsampled(task, pairs.functions, best, levels, report))
         except (ConvergenceError, NumericalError) as error:
             task.notes.append(f"not refined: {error}")
-        best = _smoothest(candidates)
+        best = _smoothest(task, candidates)
     report(0.6)
     if not settled:
         try:
             candidates.append(_registered_start(task))
         except (InputError, NumericalError, ConvergenceError) as error:
             task.notes.append(f"no near-isometric start: {error}")
-        best = _smoothest(candidates)
+        best = _smoothest(task, candidates)
     report(0.7)
 
     phi = pairs.functions[:, :k]
@@ -760,16 +789,16 @@ def register_conformal(
     left, right = phi, pursuit.psi
     found = _candidate("pursuit", a, b, nearest_rows(right, left), nearest_rows(left, right), best.marks)
     candidates.append(found)
-    best = _smoothest(candidates)
+    best = _smoothest(task, candidates)
     report(1.0)
 
     if len(marks):
-        missed = b.distances(marks[:, 1])[np.arange(len(marks)), best.forward[marks[:, 0]]]
-        if missed.max() > 0.1:
+        missed = task.missed(best.forward)
+        if missed.max() > MISSED:
             row = int(np.argmax(missed))
             task.notes.append(
-                f"the map misses {int((missed > 0.1).sum())} of {len(marks)} landmarks by more than 0.1 sqrt(area); the worst is landmark "
-                f"{row} (vertices {marks[row, 0]} and {marks[row, 1]}), by {missed[row]:.2f}: look whether it is right"
+                f"the map misses {int((missed > MISSED).sum())} of {len(marks)} landmarks by more than {MISSED} sqrt(area); the worst is "
+                f"landmark {row} (vertices {marks[row, 0]} and {marks[row, 1]}), by {missed[row]:.2f}: look whether it is right"
             )
     there_and_back = np.sqrt(((a.points - a.points[best.backward[best.forward]]) ** 2).sum(1))
     area = a.unit**2
@@ -816,7 +845,7 @@ def _starts(task: _Task, start: Start, report: Callable[[float], None]) -> tuple
     if start == "landmarks" or (start == "auto" and not found and (len(task.marks) or task.tables is not None)):
         if not len(task.marks) and task.tables is None:
             raise InputError("start='landmarks' needs landmarks= or features=")
-        found.append(_spectral_start(task))
+        found += [*_harmonic_starts(task), _spectral_start(task)]
     if not found:
         return [_registered_start(task)], True
     return found, settled or task.orientation != "preserving"
@@ -897,6 +926,43 @@ def _feature_pairs(task: _Task, most: int = 1000) -> Indices:
     if len(mutual) > most:
         mutual = np.sort(task.rng.choice(mutual, most, replace=False))
     return np.stack([mutual, forward[mutual]], axis=1)
+
+
+def _harmonic_starts(task: _Task) -> list[_Candidate]:
+    """Without a sphere: by potentials of point charges at the landmarks, which no conformal map changes, whatever the topology.
+
+    ``L u = e_i - e_j`` has no mass in it, so the difference u of two charges' potentials is the same function on conformal surfaces.
+    """
+    a, b, marks = task.source, task.target, task.marks
+    if max(len(a.operators.component_masses), len(b.operators.component_masses)) > 1:
+        return []
+    if len(marks) < 4 and task.tables is not None:
+        pairs = _feature_pairs(task)
+        if len(pairs) >= 4:
+            chosen = np.asarray(farthest_points(a.points[pairs[:, 0]], min(CHARGES, len(pairs))), np.int64)
+            marks = limbs.distinct(np.concatenate([marks, pairs[chosen]]))
+    if len(marks) < 4:
+        return []
+    first, second = _potentials(a, marks[:, 0]), _potentials(b, marks[:, 1])
+    others = ~np.eye(len(marks), dtype=bool)
+    misfit = 2 * np.pi * float(np.sqrt(np.mean(np.square(first[marks[:, 0]] - second[marks[:, 1]])[others])))  # as of logarithms
+    scale = float(np.sqrt(a.mass @ np.square(first).sum(1)))
+    first, second = first / scale, second / scale
+    forward, backward = nearest_rows(second, first), nearest_rows(first, second)
+    return [_candidate("harmonic", a, b, forward, backward, marks, (first, second), misfit < INVARIANT)]
+
+
+def _potentials(surface: Surface, at: Indices) -> Floats:
+    """(n, k): of a charge at each vertex against charges at all of them alike, with mean 0 over the other vertices."""
+    charges = np.zeros((len(surface.mass), len(at)))
+    charges[at, np.arange(len(at))] = 1.0
+    charges -= surface.mass[:, None]
+    grounded = plus_diagonal(surface.stiffness, np.maximum(1e-8 * surface.mass, 1e-20))
+    found = Cholesky(grounded, surface.operators.coordinates).solve(charges)
+    found -= found.mean(1, keepdims=True)
+    there = found[at]
+    found -= (there.sum(0) - np.diag(there)) / (len(at) - 1)
+    return np.asarray(found, float)
 
 
 def _spectral_start(task: _Task) -> _Candidate:
