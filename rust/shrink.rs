@@ -187,10 +187,16 @@ impl Elements {
     /// Sums what corners were given, in the order of the elements.
     fn gather(&self, given: &[f64], channels: usize, flux: &mut [f64]) {
         flux.par_chunks_mut(CHUNK * channels).enumerate().for_each(|(chunk, flux)| {
-            for (offset, sums) in flux.chunks_exact_mut(channels).enumerate() {
-                let node = chunk * CHUNK + offset;
+            let starts = &self.starts[chunk * CHUNK..];
+            if channels == 1 {
+                for (sum, range) in flux.iter_mut().zip(starts.windows(2)) {
+                    *sum = self.incidence[range[0]..range[1]].iter().map(|&at| given[at as usize]).sum();
+                }
+                return;
+            }
+            for (sums, range) in flux.chunks_exact_mut(channels).zip(starts.windows(2)) {
                 sums.fill(0.0);
-                for &at in &self.incidence[self.starts[node]..self.starts[node + 1]] {
+                for &at in &self.incidence[range[0]..range[1]] {
                     for (sum, share) in sums.iter_mut().zip(&given[at as usize * channels..][..channels]) {
                         *sum += share;
                     }
@@ -262,14 +268,62 @@ impl Elements {
         }
         // Known numbers of channels let the compiler unroll the loops over them.
         let found = match (self.corners, how.channels) {
+            (2, 1) => self.sweep_one::<2>(f, how, split, dual, scratch),
+            (3, 1) => self.sweep_one::<3>(f, how, split, dual, scratch),
             (2, _) => self.sweep::<2, 0>(f, how, split, dual, scratch),
-            (3, 1) => self.sweep::<3, 1>(f, how, split, dual, scratch),
             (3, 3) => self.sweep::<3, 3>(f, how, split, dual, scratch),
             (3, _) => self.sweep::<3, 0>(f, how, split, dual, scratch),
             _ => self.sweep::<4, 0>(f, how, split, dual, scratch),
         };
         self.gather(&scratch.corners, how.channels, flux);
         Ok(found)
+    }
+
+    /// [`Self::sweep`] of one channel: all stays in registers.
+    fn sweep_one<const S: usize>(
+        &self,
+        f: &[f64],
+        how: Shrinkage,
+        split: &mut [f64],
+        dual: &mut [f64],
+        scratch: &mut Scratch,
+    ) -> (f64, f64) {
+        let Shrinkage { radius, penalty, relaxation, .. } = how;
+        let (inverse, threshold) = (1.0 / penalty, radius / penalty);
+        scratch.corners.resize(self.indices.len(), 0.0);
+        let parts: Vec<(f64, f64)> = scratch
+            .corners
+            .par_chunks_mut(CHUNK * S)
+            .zip(split.par_chunks_mut(CHUNK * (S - 1)).zip(dual.par_chunks_mut(CHUNK * (S - 1))))
+            .enumerate()
+            .map(|(chunk, (given, (split, dual)))| {
+                let (mut primal, mut change) = (0.0, 0.0);
+                let each = given.chunks_exact_mut(S).zip(split.chunks_exact_mut(S - 1).zip(dual.chunks_exact_mut(S - 1)));
+                for (offset, (given, (split, dual))) in each.enumerate() {
+                    let element = chunk * CHUNK + offset;
+                    let g = self.slope::<S>(f, 1, element, 0);
+                    let mut v = [0.0; S];
+                    for k in 0..S - 1 {
+                        v[k] = relaxation * g[k] + (1.0 - relaxation) * split[k] + dual[k] * inverse;
+                    }
+                    let share = (threshold / v.iter().map(|v| v * v).sum::<f64>().sqrt()).min(1.0); // 1 for 0 / 0
+                    let (kept, pull) = (1.0 - share, penalty * share);
+                    let (mut x, mut missed, mut moved) = ([0.0; S], 0.0, 0.0);
+                    for k in 0..S - 1 {
+                        let (w, p) = (kept * v[k], pull * v[k]);
+                        missed += (g[k] - w) * (g[k] - w);
+                        moved += (w - split[k]) * (w - split[k]);
+                        (split[k], dual[k]) = (w, p);
+                        x[k] = w - p * inverse;
+                    }
+                    self.give::<S>(element, &x, given, 1, 0);
+                    primal += self.weights[element] * missed;
+                    change += self.weights[element] * moved;
+                }
+                (primal, change)
+            })
+            .collect();
+        parts.iter().fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1))
     }
 
     fn sweep<const S: usize, const C: usize>(
@@ -309,8 +363,8 @@ impl Elements {
                     for (channel, g) in slopes.iter().enumerate() {
                         let (split, dual) = (&mut split[channel * side..][..side], &mut dual[channel * side..][..side]);
                         let length = if joint { f64::sqrt(all) } else { dual.iter().map(|v| v * v).sum::<f64>().sqrt() };
-                        let kept = if length > threshold { 1.0 - threshold / length } else { 0.0 };
-                        let pull = if length > threshold { radius / length } else { penalty };
+                        let share = (threshold / length).min(1.0); // 1 for 0 / 0
+                        let (kept, pull) = (1.0 - share, penalty * share);
                         let mut x = [0.0; S];
                         for k in 0..side {
                             let (v, before) = (dual[k], split[k]);

@@ -61,6 +61,17 @@ def points(value: Any, name: str, least: int = 1) -> Floats:
     return floats(array, name, (None, None), finite=False)
 
 
+def unit_vectors(value: Any, name: str) -> Floats:
+    """(n, 3) float64 of length 1: lengths up to 1e-6 off are put right, others refused."""
+    found = floats(value, name, (None, 3))
+    lengths = np.sqrt((found * found).sum(1))
+    if (np.abs(lengths - 1) > 1e-6).any():
+        at = int(np.argmax(np.abs(lengths - 1)))
+        raise InputError(f"{name}[{at}] has length {lengths[at]:.6g}; unit vectors are needed")
+    unit: Floats = found / lengths[:, None]
+    return unit
+
+
 def triangles(value: Any, name: str, count: int) -> Ints:
     """(m, 3) int32, each from 0 to ``count`` - 1. An empty list counts as no triangles."""
     array = _array(value, name)

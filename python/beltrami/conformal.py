@@ -493,8 +493,8 @@ def centring_steps(s: Floats, mass: Floats, most: int = 100) -> tuple[list[Float
     return steps, s
 
 
-def _centred(s: Floats, mass: Floats) -> Floats:
-    return centring_steps(s, mass)[1]
+def _centred(s: Floats, mass: Floats, most: int = 100) -> Floats:
+    return centring_steps(s, mass, most)[1]
 
 
 # --- the fast route -----------------------------------------------------------------------------------------------------------------
@@ -503,6 +503,13 @@ def _centred(s: Floats, mass: Floats) -> Floats:
 def _tangential(vectors: Floats, s: Floats) -> Floats:
     found: Floats = vectors - _rows(vectors, s)[:, None] * s
     return found
+
+
+def _without_turn(moves: Floats, s: Floats, weights: Floats) -> Floats:
+    """Tangential moves less their mean rotation: the energy knows none, and steps that all turn a little never end."""
+    inertia = np.eye(3) - np.einsum("i,ij,ik->jk", weights, s, s)
+    turn = np.linalg.solve(inertia, np.einsum("i,ij->j", weights, _cross(s, moves)))
+    return moves - _cross(np.broadcast_to(turn, s.shape), s)
 
 
 def _start(surface: _Surface, solve: Callable[[Floats], Floats]) -> Floats:
@@ -548,7 +555,7 @@ def _anderson(residuals: list[Floats], images: list[Floats], weights: Floats) ->
     gram = np.array([[np.einsum("i,ij,ij->", weights, a, b) for b in columns] for a in columns])
     right = np.array([np.einsum("i,ij,ij->", weights, a, newest) for a in columns])
     values, vectors = np.linalg.eigh(gram)
-    inverse = np.where(values > 1e-14 * values[-1], 1 / np.maximum(values, 1e-300), 0.0)
+    inverse = np.where(values > 1e-6 * values[-1], 1 / np.maximum(values, 1e-300), 0.0)  # the rest is noise
     shares = vectors @ (inverse * (vectors.T @ right))
     for k, share in zip(kept, shares, strict=True):
         image = image - share / scale[k] * (images[-1] - images[k])
@@ -571,8 +578,13 @@ def _descend(
     steps: int,
     report: Callable[[float], object],
 ) -> tuple[Floats, _Trace]:
-    """Preconditioned descent of E - A with Anderson acceleration; the centre stays at the origin."""
+    """Preconditioned descent of E - A with Anderson acceleration; the centre stays at the origin, for which one Newton step
+    each time does, and all at the end.
+
+    Where rounding ends the progress before the tolerance is met, the map that moved least is returned.
+    """
     trace, weights = _Trace(), surface.mass / surface.mass.sum()
+    best, still = (np.inf, s), 0
     residuals: list[Floats] = []
     images: list[Floats] = []
     for step in range(steps):
@@ -582,17 +594,21 @@ def _descend(
         g -= share[:, None] * np.einsum("ij->j", g)
         d = solve(g)
         d -= np.einsum("i,ij->j", share, d)
-        image = _centred(_unit(s - _tangential(d, s)), surface.mass)
+        image = _centred(_unit(s - _without_turn(_tangential(d, s), s, weights)), surface.mass, 1)
         residuals, images = [*residuals[-3:], image - s], [*images[-3:], image]
         move = float(np.sqrt((weights * _rows(residuals[-1], residuals[-1])).sum()))
         trace.move.append(move)
         trace.excess.append(excess)
-        s = _centred(_unit(_anderson(residuals, images, weights)), surface.mass)
+        best, still = ((move, s), 0) if move < best[0] else (best, still + 1)
+        s = _centred(_unit(_anderson(residuals, images, weights)), surface.mass, 1)
         report((step + 1) / steps)
         if move < tolerance:
             trace.converged = True
             break
-    return s, trace
+        if still == 6 and best[0] < 1e-6:
+            s = best[1]
+            break
+    return _centred(s, surface.mass), trace
 
 
 # --- the chapter's iteration --------------------------------------------------------------------------------------------------------

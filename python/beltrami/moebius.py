@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -59,7 +58,7 @@ class Moebius:
 
     def __call__(self, points: npt.ArrayLike) -> Floats:
         """Images (n, 3) of unit vectors (n, 3)."""
-        up, down = _spinor(_on_sphere(points, "points"))
+        up, down = _spinor(arrays.unit_vectors(points, "points"))
         return _from_spinor(self.matrix[0, 0] * up + self.matrix[0, 1] * down, self.matrix[1, 0] * up + self.matrix[1, 1] * down)
 
     def __matmul__(self, other: Moebius) -> Moebius:
@@ -126,7 +125,7 @@ class Moebius:
         """
         to_base = []
         for points, name in ((source, "source"), (target, "target")):
-            up, down = _spinor(_on_sphere(arrays.floats(points, name, (3, 3)), name))
+            up, down = _spinor(arrays.unit_vectors(arrays.floats(points, name, (3, 3)), name))
             # In homogeneous coordinates: columns p, q scaled so that their sum is r.
             basis = np.array([up[:2], down[:2]])
             determinant = basis[0, 0] * basis[1, 1] - basis[0, 1] * basis[1, 0]
@@ -154,7 +153,7 @@ class Moebius:
         """
         from .conformal import centring_steps
 
-        p = _on_sphere(points, "points")
+        p = arrays.unit_vectors(points, "points")
         w = np.ones(len(p)) if weights is None else arrays.floats(weights, "weights", (len(p),))
         if (w < 0).any() or not w.sum() > 0:
             raise InputError("weights must not be negative, and not all zero")
@@ -168,16 +167,6 @@ class Moebius:
         if np.linalg.norm(w @ moved) > 1e-6 * w.sum():
             raise NumericalError(f"the centring stopped at a mean of length {np.linalg.norm(w @ moved) / w.sum():.3g}")
         return whole
-
-
-def _on_sphere(points: Any, name: str) -> Floats:
-    p = arrays.floats(points, name, (None, 3))
-    lengths = np.sqrt((p * p).sum(1))
-    if (np.abs(lengths - 1) > 1e-6).any():
-        at = int(np.argmax(np.abs(lengths - 1)))
-        raise InputError(f"{name}[{at}] has length {lengths[at]:.6g}; unit vectors are needed")
-    found: Floats = p / lengths[:, None]
-    return found
 
 
 def _spinor(p: Floats) -> tuple[Complex, Complex]:

@@ -14,10 +14,10 @@ import numpy.typing as npt
 import scipy
 
 from . import _core, arrays
-from .arrays import Floats, Ints
+from .arrays import Floats, Ints, csr_in
 from .clouds import CloudOperators
 from .contours import cloud_contours
-from .errors import Cancelled, InputError
+from .errors import Cancelled, InputError, NumericalError
 from .files import written
 from .intrinsic import IntrinsicOperators
 from .operators import Operators, operators
@@ -33,8 +33,11 @@ TotalVariation = Literal["isotropic", "edge"]
 RELAXATION = 1.8  # of 1 to 2; 1.9 and 1 take more sweeps
 CHECK = 10  # sweeps between two certificates
 STRENGTH = 3.0  # most that the nodes' penalty may exceed the image's pull
+HASTY = 100  # sweeps in which the means follow each certificate
 BALANCE = 50  # sweeps after which the penalty may be changed
-PENALTY = 0.08  # of denoising, for an image of standard deviation 1
+PENALTY = 9.0  # of denoising, for an image of standard deviation 1, in units of the spacing
+REDUCTION = 0.07  # of a linear system's residual, a sweep: less takes more sweeps, more buys none
+SOLVE, FACTOR = 20, 300  # steps of conjugate gradients that cost as much as a solve with a factor, as the factor
 
 
 # --- what both methods stand on ----------------------------------------------------------------------------------------------------
@@ -82,8 +85,38 @@ class _Surface:
         turned: Floats = np.einsum("mca,mad->mcd", local, self.frames)
         return turned[:, 0] if channels == 1 else turned
 
-    def factor(self, ratio: float | Floats) -> Cholesky:
-        return Cholesky(plus_diagonal(self.stiffness, ratio * self.weights), self.operators.coordinates)
+
+class _System:
+    """``(L + D) x = b`` with the stiffness L and a diagonal D, solved every sweep for a right-hand side that hardly changes.
+
+    Conjugate gradients from the last x take a few steps, far fewer than a factor costs. Where they take many (a mesh of very
+    unequal triangles, a D of little weight) and a factor would have paid, it is made, and kept from then on.
+    """
+
+    def __init__(self, surface: _Surface, diagonal: Floats) -> None:
+        self.surface, self.debt = surface, 0
+        self.factor: Cholesky | None = None
+        self.change(diagonal)
+
+    def change(self, diagonal: Floats) -> None:
+        self.matrix = plus_diagonal(self.surface.stiffness, diagonal)
+        if self.factor is None:
+            self.iteration = _core.Conjugate(csr_in(self.matrix, "the matrix"))
+        else:
+            self.factor.refactor(self.matrix)
+
+    def solve(self, right: Floats, x: Floats) -> None:
+        """Moves x to the solution, or towards it as far as a sweep needs."""
+        if self.factor is None:
+            try:
+                self.debt += self.iteration.improve(right, x, REDUCTION, 5 * SOLVE) - SOLVE
+            except NumericalError:  # a factor copes, or says what is wrong
+                self.debt = FACTOR + 1
+            self.debt = max(self.debt, 0)
+            if self.debt <= FACTOR:
+                return
+            self.factor = Cholesky(self.matrix, self.surface.operators.coordinates)
+        self.factor.solve(right, out=x)
 
 
 def _simplices(ops: Operators) -> tuple[Ints, Floats, Floats]:
@@ -343,7 +376,7 @@ def _save_shape(shape: Shape, data: dict[str, Any], path: Path) -> None:
 
 
 class _Segmenter:
-    """The splitting of one surface and image: one factor for all fidelities, and the state that the next one starts from."""
+    """The splitting of one surface and image: one linear system for all fidelities, and the state that the next one starts from."""
 
     def __init__(self, shape: Shape | Operators, image: Any, regions: int, means: Any, mask: Any, tv: TotalVariation) -> None:
         surface = self.surface = _Surface(shape, tv)
@@ -359,7 +392,7 @@ class _Segmenter:
         # Penalty and ratio for which the sweeps hardly depend on the size of the mesh: ρ in units of the spacing, κ of its inverse square.
         self.penalty = 1.5 * surface.spacing
         self.ratio = 0.35 / surface.spacing**2
-        self.factor = surface.factor(self.ratio)
+        self.system = _System(surface, self.ratio * surface.weights)
         self.split: list[Floats] | None = None
 
     def _given(self, means: Any) -> Floats:
@@ -374,7 +407,9 @@ class _Segmenter:
         data, weights = self.image[self.known], self.data_mass[self.known]
         if len(data) == 0:
             raise InputError("the image is known at no vertex that belongs to a triangle")
-        distinct = len(np.unique(data, axis=0))
+        distinct = len(np.unique(data[:1000], axis=0))  # usually enough, and sorting all takes time
+        if distinct < self.regions:
+            distinct = len(np.unique(data, axis=0))
         if distinct < self.regions:
             text = "the image is constant" if distinct == 1 else f"the image has {distinct} distinct values"
             raise InputError(f"{text}; {self.regions} regions need at least {self.regions}: ask for fewer, or give means")
@@ -452,9 +487,14 @@ class _Segmenter:
             self.split = [np.zeros(shape), np.zeros(shape), z, np.zeros_like(z)]
         w, p, z, y = self.split  # splits of the gradient and of phi, each with its multiplier
         phi, right, flux = z.copy(), np.zeros_like(z), np.zeros_like(z)
-        # A weak image moves phi slowly against a strong penalty.
-        strength = top * float(np.sqrt((mass * np.square(cost / top)).sum() / channels))
-        penalty = self.penalty * min(1.0, STRENGTH * strength / (self.penalty * ratio))
+
+        def fitting(cost: Floats) -> float:
+            """A weak image moves phi slowly against a strong penalty."""
+            top = max(float(np.abs(cost).max()), 1e-300)
+            strength = top * float(np.sqrt((mass * np.square(cost / top)).sum() / channels))
+            return float(self.penalty * np.clip(STRENGTH * strength / (self.penalty * ratio), 1e-12, 1.0))
+
+        penalty = fitted = fitting(cost)
 
         def tv(values: Floats) -> float:
             return radius * elements.total_variation(values, False)
@@ -471,19 +511,26 @@ class _Segmenter:
             values = [tv(candidate) for candidate in candidates]
             best = int(np.argmin([value + float((mass * cost * c).sum()) for value, c in zip(values, candidates, strict=True)]))
             found = candidates[best]
-            new = means if self.given else self._averages(self._labels(found), means)
-            new_cost = self._cost(new, fidelity)
-            primal = values[best] + float((mass * new_cost * found).sum())
             elements.flux(p, flux)
-            slack = flux + mass * new_cost
-            dual = float(np.minimum(slack, 0).sum() if channels == 1 else slack.min(1).sum())
-            return found, new, new_cost, primal, dual, (primal - dual) / max(abs(primal), 1e-3 * scale, 1e-300)
+
+            def judged(cost: Floats) -> tuple[float, float, float]:
+                primal = values[best] + float((mass * cost * found).sum())
+                slack = flux + mass * cost
+                dual = float(np.minimum(slack, 0).sum() if channels == 1 else slack.min(1).sum())
+                return primal, dual, (primal - dual) / max(abs(primal), 1e-3 * scale, 1e-300)
+
+            # Later on means move only once they are solved for: two that take turns would go on for ever.
+            if self.given or (sweep > HASTY and judged(cost)[2] > tolerance):
+                return found, means, cost, *judged(cost)
+            new = self._averages(self._labels(found), means)
+            new_cost = self._cost(new, fidelity)
+            return found, new, new_cost, *judged(new_cost)
 
         history: list[tuple[int, float, float, float]] = []
         converged, sweep = False, 0
         restart()
         for sweep in range(1, most + 1):
-            self.factor.solve(right, out=phi)  # step (3): (L + κ M) phi = G^T A (W - B) + κ M (z - y / σ)
+            self.system.solve(right, phi)  # step (3): (L + κ M) phi = G^T A (W - B) + κ M (z - y / σ)
             missed, moved = elements.shrink(phi, w, p, right, False, radius, penalty, RELAXATION)  # steps (4) and (5)
             off, shifted = _core.constrain(phi, cost, weights, z, y, right, penalty * ratio, ratio, RELAXATION)  # 0 <= phi <= 1
             if sweep % CHECK and sweep != most:
@@ -494,11 +541,15 @@ class _Segmenter:
             if gap <= tolerance:
                 converged = True
                 break
+            # Means that have moved make another image.
+            fit = fitting(cost)
+            factor = 1.0 if fitted / 2 <= fit <= 2 * fitted else fit / fitted
+            fitted = fitted if factor == 1.0 else fit
             if sweep % BALANCE == 0:
-                factor = _balance(missed + ratio * off, moved + ratio * shifted)
-                if factor != 1.0:
-                    penalty *= factor
-                    restart()
+                factor *= _balance(missed + ratio * off, moved + ratio * shifted)
+            if factor != 1.0:
+                penalty *= factor
+                restart()
         self.means = means
         return self._result(found, means, cost, history, sweep, converged, fidelity, radius, p)
 
@@ -562,9 +613,9 @@ def _spread(values: npt.NDArray[Any], where: npt.NDArray[np.bool_]) -> npt.NDArr
 
 def _balance(primal: float, dual: float) -> float:
     """Factor of the penalty where one squared residual is far above the other (He, Yang and Wang 2000)."""
-    if primal > 100 * dual:
+    if primal / 100 > dual:
         return 2.0
-    if dual > 100 * primal:
+    if dual / 100 > primal:
         return 0.5
     return 1.0
 
@@ -650,7 +701,7 @@ def segment(
         ``∫ |grad φ| + fidelity ∫ r φ``,  ``r = |I - c_1|² - |I - c_0|²``
 
     is made least by the alternating direction method of multipliers (section 8.1, steps (1)-(7), with a second split for the
-    bounds): one sparse factor, then a solve, a shrinkage on each triangle and a clipping at each vertex a sweep. The means are
+    bounds): a solve (one matrix throughout), a shrinkage on each triangle and a clipping at each vertex a sweep. The means are
     updated as area-weighted averages. For the means that are returned the problem is convex, and ``dual`` bounds it from below.
 
     Parameters
@@ -731,7 +782,7 @@ def segment_path(
     max_iterations: int = 2000,
     progress: Progress = None,
 ) -> list[SegmentationResult]:
-    """Segmentations for several fidelities, so that one can be chosen: one factor serves all, each starts from the one before.
+    """Segmentations for several fidelities, so that one can be chosen: one linear system serves all, each starts from the one before.
 
     Parameters
     ----------
@@ -767,7 +818,7 @@ def segment_path(
     segmenter = _Segmenter(shape, image, regions, means, mask, tv)
     results = []
     for value in wanted:
-        results.append(segmenter.run(float(value), wished, most, _Watch(progress, "segment", wished)))
+        results.append(segmenter.run(value, wished, most, _Watch(progress, "segment", wished)))
         populated = np.bincount(results[-1].labels, minlength=segmenter.regions) > 0
         if not segmenter.given and not populated.all():
             segmenter.means = segmenter.start  # a region died out: the next fidelity begins with all of them
@@ -930,17 +981,17 @@ def denoise(
     loose = surface.mass == 0  # they keep their values
     pull = weight * surface.mass * known + loose * (weight / surface.count)
     elements, channels = surface.elements, data.shape[1]
-    penalty = PENALTY
+    penalty = PENALTY * surface.spacing
     shape_of = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if tv == "isotropic" else 1))
     w, p = np.zeros(shape_of), np.zeros(shape_of)
     u, right, flux = np.zeros_like(target), np.zeros_like(target), np.zeros_like(target)
-    factor = Cholesky(plus_diagonal(surface.stiffness, pull / penalty), surface.operators.coordinates)
+    system = _System(surface, pull / penalty)
     watch = _Watch(progress, "denoise", tolerance)
     steps: list[tuple[int, float, float, float]] = []
     converged, sweep, best = False, 0, target
     for sweep in range(1, most + 1):
         right += pull[:, None] / penalty * target
-        factor.solve(right, out=u)  # (L + μ M / ρ) u = G^T A (W - B) + μ M I / ρ
+        system.solve(right, u)  # (L + μ M / ρ) u = G^T A (W - B) + μ M I / ρ
         missed, moved = elements.shrink(u, w, p, right, True, 1.0, penalty, RELAXATION)
         if sweep % CHECK and sweep != most:
             continue
@@ -949,9 +1000,11 @@ def denoise(
             drop = np.where(mass > 0, flux / (weight * mass), 0.0)
         free = (flux * np.where(flux > 0, least, greatest))[~known].sum()
         dual = float((flux * target)[known].sum() - 0.5 * (flux * drop)[known].sum() + free)
-        inside = u.copy()
+        # each piece has the mean of its image, and that is best, however well the system was solved
+        offsets = np.stack([np.bincount(pieces, pull * channel) for channel in (u - target).T], 1) / np.bincount(pieces, pull)[:, None]
+        inside = u - offsets[pieces]
         if not everywhere:
-            inside[~known] = np.clip(u[~known], least, greatest)
+            inside[~known] = np.clip(inside[~known], least, greatest)
         choices = [inside, np.where(known[:, None], target - drop, inside)]
         values = [
             elements.total_variation(choice, True) + 0.5 * weight * float((mass * np.square(choice - target))[known].sum())
@@ -968,7 +1021,7 @@ def denoise(
             change = _balance(missed, moved)
             if change != 1.0:
                 penalty *= change
-                factor.refactor(plus_diagonal(surface.stiffness, pull / penalty))
+                system.change(pull / penalty)
                 elements.flux(w - p / penalty, right)
     answer = best * unit + centre
     columns = [np.array(column) for column in zip(*steps, strict=True)]

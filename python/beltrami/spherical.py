@@ -179,6 +179,12 @@ def best_rotation(
         return found
 
     values, image = values.reshape(len(values), -1), image.reshape(*image.shape[:2], -1)
+    # Deviations in units of the largest: no square leaves the range.
+    values, image = values - values.mean(0), image - image.mean((0, 1))
+    spans = np.abs(values).max(0), np.abs(image).max((0, 1))
+    if any(not (span > 0).all() for span in spans):
+        raise InputError("values that are constant on one of the two maps say nothing about rotations; leave that channel out")
+    values, image = values / spans[0], image / spans[1]
     picked = nearest_neighbors(positions, grid_directions(samples // 50, 50).reshape(-1, 3), 1)[0][:, 0]
     area = np.cos(np.linspace(np.pi / 2, -np.pi / 2, samples // 50 + 2)[1:-1]).repeat(50)
     quaternions = spread_rotations(count)
@@ -252,8 +258,8 @@ class SphericalHarmonics:
         return f"SphericalHarmonics(degree {self.degree}, relative error {self.error:.3g})"
 
     def __call__(self, directions: npt.ArrayLike) -> Floats:
-        """The sum at unit vectors (n, 3), (n, c)."""
-        found: Floats = harmonics(arrays.floats(directions, "directions", (None, 3)), self.degree) @ self.coefficients
+        """The sum at unit vectors (n, 3), (n, c). Other lengths are refused."""
+        found: Floats = harmonics(arrays.unit_vectors(directions, "directions"), self.degree) @ self.coefficients
         return found
 
     @property

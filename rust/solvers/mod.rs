@@ -1,6 +1,7 @@
 //! Solvers: sparse Cholesky, multilevel iterations and eigenpairs. They know matrices, never meshes.
 
 mod cholesky;
+mod conjugate;
 mod dense;
 mod eigen;
 mod indefinite;
@@ -11,6 +12,7 @@ mod sweep;
 mod symbolic;
 
 pub use cholesky::{Cholesky, Scratch};
+pub use conjugate::Conjugate;
 pub use eigen::{EigenOptions, Eigenpairs, Mass, eigenpairs};
 pub use laplacian::{LaplacianSolver, Method};
 pub use multilevel::Multilevel;

@@ -99,6 +99,25 @@ def test_the_chapters_iteration_reaches_the_same_energy() -> None:
         assert other.iterations < 20
 
 
+def test_tight_tolerances_do_not_harm() -> None:
+    """Steps that turned the sphere a little had no end, and mixing what was noise by then made the map worse, not better."""
+    v = bt.shapes.sphere(3).vertices
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        height = 1 + 0.35 * np.sin(2 * v @ rng.normal(size=3) + rng.normal()) + 0.2 * np.sin(4 * v @ rng.normal(size=3))
+        mesh = bt.TriangleMesh(v * height[:, None], bt.shapes.sphere(3).faces)
+        usual = bt.spherical_map(mesh)
+        tight = bt.spherical_map(mesh, tolerance=1e-8, max_iterations=200)
+        assert tight.converged
+        assert len(tight.history["move"]) < 25
+        least = bt.spherical_map(mesh, tolerance=1e-16, max_iterations=200)  # not to be had
+        assert not least.converged
+        assert len(least.history["move"]) < 100
+        for r in (tight, least):
+            assert r.excess <= usual.excess * (1 + 1e-6)
+            assert np.linalg.norm(bt.operators(mesh).mass @ r.positions) < 1e-12 * mesh.area
+
+
 def test_turned_scaled_renumbered_and_mirrored(spot: bt.SphericalMapResult) -> None:
     mesh, rng = bt.examples.spot(), np.random.default_rng(5)
     mass, order = bt.operators(mesh).mass, rng.permutation(len(mesh.vertices))
@@ -320,6 +339,13 @@ def test_two_maps_of_one_surface_align_and_correspond(spot: bt.SphericalMapResul
     assert np.allclose(there.pull_back(mesh.vertices[:, 0]), there.points[:, 0])
     with pytest.raises(bt.InputError, match="rotation"):
         spot.turned(-np.eye(3))
+
+
+def test_constant_values_and_vectors_of_other_lengths_are_refused(spot: bt.SphericalMapResult) -> None:
+    with pytest.raises(bt.errors.InputError, match="constant"):
+        spot.aligned_to(spot, np.ones(len(spot.positions)), np.ones(len(spot.positions)))
+    with pytest.raises(bt.errors.InputError, match=r"directions\[1\] has length 2"):
+        spot.harmonics(3)([[0.0, 0.0, 1.0], [2.0, 0.0, 0.0]])
 
 
 def test_harmonics_are_orthonormal_and_describe_ellipsoids() -> None:

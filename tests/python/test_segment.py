@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
+
 import beltrami as bt
 import numpy as np
 import pytest
@@ -313,6 +316,7 @@ def test_vertices_of_no_triangle_and_repeated_calls():
         ({"fidelity": 0.0}, "fidelity"),
         ({"fidelity": -1.0}, "fidelity"),
         ({"fidelity": np.inf}, "fidelity"),
+        ({"fidelity": "x"}, "fidelity"),
         ({"tolerance": 0.0}, "tolerance"),
         ({"max_iterations": 0}, "max_iterations"),
         ({"tv": "total"}, "tv"),
@@ -335,6 +339,10 @@ def test_refusals_of_segment():
         bt.segment(mesh, np.arange(162) % 2, regions=3)
     with pytest.raises(bt.InputError, match="equal"):
         bt.segment(mesh, np.arange(162.0), means=[1.0, 1.0])
+    with pytest.raises(bt.InputError, match="real numbers"):
+        bt.segment(mesh, np.arange(162.0), means="ab")
+    with pytest.raises(bt.InputError, match="fidelities is 'a'"):
+        bt.segment_path(mesh, np.arange(162.0), fidelities="a")
     with pytest.raises(bt.InputError, match="empty"):
         bt.segment_path(mesh, np.arange(162.0), fidelities=[])
     with pytest.raises(bt.InputError):
@@ -350,6 +358,37 @@ def test_not_converged_is_said():
     assert "NOT CONVERGED" in repr(r)
     assert np.isfinite(r.phi).all()
     assert np.isfinite(r.dual)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_weak_images_whose_means_move_are_solved(seed):
+    """The penalty fits the contrast of the means, which move while it is found; and two sets of means may not take turns for ever."""
+    mesh = bt.shapes.star()
+    x, y, _ = ((mesh.vertices - mesh.vertices.mean(0)) / np.abs(mesh.vertices - mesh.vertices.mean(0)).max()).T
+    image = (np.sin(8 * x) + np.sin(7 * y + 1) > 0.4) + 0.4 * np.random.default_rng(seed).normal(size=len(x))
+    assert bt.segment(mesh, image, fidelity=6.0, max_iterations=400).converged
+
+
+@pytest.mark.parametrize("tv", ["isotropic", "edge"])
+def test_a_factor_that_takes_over_gives_the_same_answer(tv, monkeypatch):
+    mesh = bt.shapes.sphere(4)
+    image = np.stack([cap(mesh, 1.0, 0.3), cap(mesh, 0.5, 0.3, seed=1)], 1)
+    answers = []
+    for dear in (300, -1):
+        monkeypatch.setattr(sys.modules["beltrami.segment"], "FACTOR", dear)
+        answers.append((bt.segment(mesh, image, fidelity=40.0, tv=tv), bt.denoise(mesh, image, fidelity=40.0, tv=tv, tolerance=1e-6)))
+    (one, smooth), (two, smoother) = answers
+    assert one.primal == pytest.approx(two.primal, rel=2e-4)
+    assert (one.labels != two.labels).mean() < 0.002
+    # strong convexity: fidelity / 2 |u - u*|² <= primal - minimum, for both
+    assert np.abs(smooth.image - smoother.image).max() ** 2 <= 4 * (2 * 1e-6 * smooth.primal / 40) * len(mesh.vertices)
+
+
+def test_flat_triangles_raise_no_warnings():
+    flat = bt.TriangleMesh([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bt.segment(flat, [0.0, 1, 2, 3], max_iterations=100)
 
 
 def test_progress_stops_the_work():

@@ -1,6 +1,7 @@
 //! Binding of beltrami for Python: one export list. Each function converts, releases the GIL, calls the core, wraps.
 
 mod cholesky;
+mod conjugate;
 mod convert;
 mod eigen;
 mod error;
@@ -30,6 +31,8 @@ use pyo3::prelude::*;
 mod _core {
     #[pymodule_export]
     use super::cholesky::Cholesky;
+    #[pymodule_export]
+    use super::conjugate::Conjugate;
     #[pymodule_export]
     use super::eigen::eigenpairs;
     #[pymodule_export]
