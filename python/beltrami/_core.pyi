@@ -12,6 +12,7 @@ from .arrays import Ints as Ints
 
 __all__ = [
     "Cholesky",
+    "Conjugate",
     "Elements",
     "HeatMethod",
     "LaplacianSolver",

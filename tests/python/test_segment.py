@@ -339,9 +339,9 @@ def test_refusals_of_segment():
         bt.segment(mesh, np.arange(162) % 2, regions=3)
     with pytest.raises(bt.InputError, match="equal"):
         bt.segment(mesh, np.arange(162.0), means=[1.0, 1.0])
-    with pytest.raises(bt.InputError, match="real numbers"):
+    with pytest.raises(bt.InputError, match="means"):
         bt.segment(mesh, np.arange(162.0), means="ab")
-    with pytest.raises(bt.InputError, match="fidelities is 'a'"):
+    with pytest.raises(bt.InputError, match="fidelities is"):
         bt.segment_path(mesh, np.arange(162.0), fidelities="a")
     with pytest.raises(bt.InputError, match="empty"):
         bt.segment_path(mesh, np.arange(162.0), fidelities=[])
