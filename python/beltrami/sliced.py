@@ -157,8 +157,8 @@ class RotationInvariantSlicedWassersteinResult:
         The sliced distance between ``source @ rotation`` and ``target``, in the units of the points.
     rotation : (D, D) array
         Orthogonal; its determinant may be -1.
-    history : (iterations + 1,) array
-        The distance at each rotation of the run that led here; never rises.
+    history : dict of str to ndarray
+        ``distance`` (iterations + 1,): at each rotation of the run that led here; never rises.
     iterations : int
     converged : bool
         Whether the last step lessened the squared distance by less than `tolerance`, relatively.
@@ -168,14 +168,14 @@ class RotationInvariantSlicedWassersteinResult:
 
     distance: float
     rotation: Floats
-    history: Floats
+    history: dict[str, Floats]
     iterations: int
     converged: bool
     directions: Floats
 
     def __repr__(self) -> str:
-        state = "converged" if self.converged else "NOT converged"
-        return f"RotationInvariantSlicedWassersteinResult(distance {self.distance:.6g}, {state} after {self.iterations} steps)"
+        state = "" if self.converged else ", NOT CONVERGED"
+        return f"RotationInvariantSlicedWassersteinResult(distance {self.distance:.6g} after {self.iterations} iterations{state})"
 
 
 def _polar(cross: Floats) -> Floats:
@@ -392,7 +392,7 @@ def rotation_invariant_sliced_wasserstein(
     return RotationInvariantSlicedWassersteinResult(
         distance=scale * float(np.sqrt(run.value)),
         rotation=np.ascontiguousarray(rotation),
-        history=scale * np.sqrt(np.array(run.history)),
+        history={"distance": scale * np.sqrt(np.array(run.history))},
         iterations=len(run.history) - 1,
         converged=run.converged,
         directions=theta,

@@ -148,8 +148,8 @@ def test_rotation_invariant_distance(dimension):
     forth = exact(x @ found.rotation, y, found.directions, a)
     back = exact(y @ found.rotation.T, x, found.directions, None, a)
     assert min(abs(found.distance / forth - 1), abs(found.distance / back - 1)) < 1e-10
-    assert (np.diff(found.history) <= 0).all()
-    assert found.history[-1] == pytest.approx(found.distance, rel=1e-14)
+    assert (np.diff(found.history["distance"]) <= 0).all()
+    assert found.history["distance"][-1] == pytest.approx(found.distance, rel=1e-14)
     other = bt.rotation_invariant_sliced_wasserstein(y, x, target_weights=a, rng=4)
     assert other.distance == pytest.approx(found.distance, rel=1e-9)
     plain = bt.sliced_wasserstein(x, y, source_weights=a, directions=found.directions)
