@@ -819,7 +819,7 @@ COARSE = 20  # iterations with few intervals, of each number, before those with 
 
 def coarser(intervals: int) -> list[int]:
     """Numbers of intervals to begin with: halves, down to 3."""
-    found = []
+    found: list[int] = []
     while intervals >= 6:
         intervals //= 2
         found.insert(0, intervals)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,17 @@ __all__ = [
 LEAST, MOST, STEPS = -690.0, 340.0, 100  # logarithms of the smallest and largest density looked at; steps to its last bit at most
 
 
-@dataclass(frozen=True, eq=False)
+def _line(cost: Any) -> str:
+    """A cost in a line: its numbers, and how many of those it has one a place of."""
+    told = []
+    for entry in fields(cost) if is_dataclass(cost) else ():
+        value = getattr(cost, entry.name)
+        shown = f"{len(value)} numbers" if np.ndim(value) else f"{value:g}" if isinstance(value, float) else str(value)
+        told.append(f"{entry.name} = {shown}")
+    return f"{type(cost).__name__.lstrip('_')}({', '.join(told)})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Lagrangian:
     """``weight |p|^exponent / exponent``: what moving at velocity p costs a unit of mass and time; see :func:`kinetic`, :func:`power`.
 
@@ -45,6 +55,9 @@ class Lagrangian:
 
     exponent: float = 2.0
     weight: float | Floats = 1.0
+
+    def __repr__(self) -> str:
+        return _line(self)
 
     def weights(self, count: int) -> Floats:
         """(m,)."""
@@ -139,6 +152,9 @@ class Cost(ABC):
     upper: Any = None
     superlinear: bool = True
 
+    def __repr__(self) -> str:
+        return _line(self)
+
     @abstractmethod
     def value(self, density: Floats) -> Floats:
         """F(ρ), per unit area."""
@@ -217,7 +233,7 @@ def _root(f: Callable[[Floats], Floats], start: Floats) -> Floats:
     return found
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Sum(Cost):
     first: Cost
     second: Cost
@@ -255,7 +271,7 @@ class _Sum(Cost):
         self.second.check(count)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Scaled(Cost):
     cost: Cost
     factor: float
@@ -293,7 +309,7 @@ def _fits(values: Floats, count: int, name: str) -> None:
         raise InputError(f"{name} has {len(values)} values, the shape has {count} vertices; give one a vertex")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Quadratic(Cost):
     target: Floats
     weight: float
@@ -342,7 +358,7 @@ def quadratic(target: npt.ArrayLike, weight: float = 1.0) -> Cost:
     return _Quadratic(_per_vertex(target, "target"), arrays.number(weight, "weight", above=0))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Entropy(Cost):
     """``weight (ρ log(ρ / target) - ρ + offset)``."""
 
@@ -429,7 +445,7 @@ def entropy(weight: float = 1.0) -> Cost:
     return _Entropy(1.0, arrays.number(weight, "weight", above=0), 0.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Congestion(Cost):
     weight: float
     exponent: float
@@ -477,7 +493,7 @@ def congestion(weight: float = 1.0, exponent: float = 2.0) -> Cost:
     return _Congestion(arrays.number(weight, "weight", above=0), arrays.number(exponent, "exponent", above=1))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Potential(Cost):
     values: Floats
     superlinear: bool = False
@@ -516,7 +532,7 @@ def potential(values: npt.ArrayLike) -> Cost:
     return _Potential(_per_vertex(values, "the potential"))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Cap(Cost):
     upper: Any
 
@@ -561,7 +577,7 @@ def density_cap(limit: npt.ArrayLike) -> Cost:
     return _Cap(_per_vertex(limit, "limit", 0.0))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Custom(Cost):
     value_of: Callable[[Floats], Any]
     derivative_of: Callable[[Floats], Any]

@@ -225,3 +225,10 @@ def test_saved_maps_and_modes_come_back(tmp_path: Any) -> None:
 
 def test_a_tab_shows_what_there_is() -> None:
     assert dir(bt) == sorted(bt.__all__)
+
+
+def test_costs_are_told_in_a_line() -> None:
+    cost = 2.0 * bt.costs.quadratic(DENSITIES[0], weight=3.0) + bt.costs.congestion(0.5)
+    assert repr(bt.costs.quadratic(DENSITIES[0], weight=3.0)) == f"Quadratic(target = {COUNT} numbers, weight = 3)"
+    assert len(repr(cost)) < 200
+    assert repr(bt.costs.power(1.5)) == "Lagrangian(exponent = 1.5, weight = 1)"
