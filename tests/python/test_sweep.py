@@ -8,6 +8,7 @@ import dataclasses
 import pickle
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import beltrami as bt
@@ -290,3 +291,57 @@ def test_each_method_answers_on_a_sound_mesh(method: str) -> None:
     """So that the sweep above does not pass because everything is refused."""
     base = "sphere" if method in ("spherical_map", "register_conformal") else "torus"
     assert attempt(Case(method, base, 3, (), method == "sample_density", 1))
+
+
+def _larger(method: str) -> Any:
+    """Enough points for the kernels to share the work among threads."""
+    if method in ("spherical_map", "register_conformal", "plot"):
+        return bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=4)
+    mesh = bt.shapes.torus(rows=96, columns=40)
+    return bt.PointCloud(mesh.vertices, dimension=2) if method == "sample_density" else mesh
+
+
+def _answer(method: str) -> list[bytes]:
+    return [array.tobytes() for array in arrays_of(METHODS[method](_larger(method), np.random.default_rng(3)))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_bits_on_any_number_of_threads(method: str) -> None:
+    before = bt.num_threads()
+    try:
+        answers = []
+        for threads in (1, 2, 4, 8):
+            bt.set_num_threads(threads)
+            answers.append(_answer(method))
+    finally:
+        bt.set_num_threads(before)
+    assert all(answer == answers[0] for answer in answers)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_eight_calls_at_once_answer_as_one(method: str) -> None:
+    alone = _answer(method)
+    with ThreadPoolExecutor(8) as pool:
+        assert all(answer == alone for answer in pool.map(_answer, [method] * 8))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_memory_does_not_grow(method: str) -> None:
+    """Over 1,000 calls (fewer of what takes long) after a warm-up: in all, less than a few copies of the shape."""
+    resource = pytest.importorskip("resource")
+    case = Case(method, "sphere" if method in ("spherical_map", "register_conformal") else "torus", 3, (), method == "sample_density", 1)
+
+    def calls(count: int, seconds: float) -> None:
+        start = time.monotonic()
+        for _ in range(count):
+            METHODS[method](_shape(case), np.random.default_rng(1))
+            if time.monotonic() - start > seconds:
+                break
+
+    calls(300, 10)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    calls(1000, 30)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000  # KiB on Linux
