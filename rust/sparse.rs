@@ -6,6 +6,12 @@ use rayon::prelude::*;
 /// How many rows or elements one parallel task takes. Fixed, so that sums are grouped alike on any number of threads.
 pub(crate) const CHUNK: usize = 4096;
 
+/// Where the first number is that is not finite. Whole chunks first: a loop without an exit is compiled for the machine's vectors.
+pub(crate) fn first_not_finite(numbers: &[f64]) -> Option<usize> {
+    let finite = numbers.par_chunks(CHUNK).all(|part| part.iter().fold(true, |finite, number| finite & number.is_finite()));
+    if finite { None } else { numbers.iter().position(|number| !number.is_finite()) }
+}
+
 /// A sparse matrix in compressed rows; columns ascend within a row and none is there twice.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Csr {

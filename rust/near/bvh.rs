@@ -8,7 +8,7 @@ use super::{BATCH, knn};
 use crate::control::Control;
 use crate::error::{Error, Result};
 use crate::shape::TriangleMesh;
-use crate::sparse::CHUNK;
+use crate::sparse::{CHUNK, first_not_finite};
 use knn::{Space, in_space};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -209,7 +209,7 @@ impl<'a> Bvh<'a> {
                 self.dimension
             )));
         }
-        match knn::first_wrong(numbers) {
+        match first_not_finite(numbers) {
             None => Ok(numbers.len() / self.dimension),
             Some(at) => Err(Error::input(format!(
                 "coordinate {} of {what} {} is {}; it must be finite",

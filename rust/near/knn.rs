@@ -9,7 +9,7 @@
 use super::BATCH;
 use crate::control::Control;
 use crate::error::{Error, Result};
-use crate::sparse::CHUNK;
+use crate::sparse::{CHUNK, first_not_finite};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
@@ -271,11 +271,6 @@ fn order(a: &(f64, u32), b: &(f64, u32)) -> std::cmp::Ordering {
     a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
 }
 
-/// Index of the first coordinate that is not finite.
-pub(super) fn first_wrong(numbers: &[f64]) -> Option<usize> {
-    numbers.par_iter().with_min_len(CHUNK).position_first(|number| !number.is_finite())
-}
-
 impl KdTree {
     /// A tree of points, `dimension` coordinates each, one after the other. Points may repeat; there may be none.
     ///
@@ -298,7 +293,7 @@ impl KdTree {
         if count > u32::MAX as usize / 2 {
             return Err(Error::input(format!("{count} points; a tree can hold up to 2^31 - 1")));
         }
-        if let Some(at) = first_wrong(points) {
+        if let Some(at) = first_not_finite(points) {
             return Err(Error::input(format!(
                 "coordinate {} of point {} is {}; remove that point or give it a finite position",
                 at % dimension,
@@ -359,7 +354,7 @@ impl KdTree {
                 self.dimension
             )));
         }
-        match first_wrong(queries) {
+        match first_not_finite(queries) {
             None => Ok(queries.len() / self.dimension),
             Some(at) => Err(Error::input(format!(
                 "coordinate {} of query {} is {}; remove that query or give it a finite position",

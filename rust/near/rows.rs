@@ -4,9 +4,10 @@
 //! in the cache. What rounding can hide is known; the few points within it of the least are compared again in double
 //! precision, by the same sum as a [`KdTree`](super::KdTree) uses. So the answer is that of comparing with every point.
 
-use super::knn::{first_wrong, tame};
+use super::knn::tame;
 use crate::control::Control;
 use crate::error::{Error, Result};
+use crate::sparse::first_not_finite;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
@@ -43,7 +44,7 @@ pub fn nearest_rows(points: &[f64], dimension: usize, queries: &[f64], control: 
         return Err(Error::input(format!("{count} points; from 1 to 2^31 - 1 are possible")));
     }
     for (name, numbers) in [("point", points), ("query", queries)] {
-        if let Some(at) = first_wrong(numbers) {
+        if let Some(at) = first_not_finite(numbers) {
             return Err(Error::input(format!("coordinate {} of {name} {} is {}", at % dimension, at / dimension, numbers[at])));
         }
     }

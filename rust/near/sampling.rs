@@ -3,7 +3,7 @@
 use super::{KdTree, Scratch};
 use crate::control::Control;
 use crate::error::{Error, Result};
-use crate::sparse::CHUNK;
+use crate::sparse::{CHUNK, first_not_finite};
 use rayon::prelude::*;
 
 /// Points nearer to another than this share of the distance to their 6th neighbour coincide with it.
@@ -18,7 +18,7 @@ pub(crate) fn normalized(points: &[f64], dimension: usize) -> Result<Option<(Vec
     if points.len() / dimension > u32::MAX as usize / 2 {
         return Err(Error::input(format!("{} points; a cloud can have up to 2^31 - 1", points.len() / dimension)));
     }
-    if let Some(at) = points.par_iter().with_min_len(CHUNK).position_first(|number| !number.is_finite()) {
+    if let Some(at) = first_not_finite(points) {
         return Err(Error::input(format!(
             "coordinate {} of point {} is {}; remove that point",
             at % dimension,

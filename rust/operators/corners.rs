@@ -48,12 +48,10 @@ impl Corners {
         // Places are disjoint, which only atomics can say: their stores are ordinary ones.
         let corners: Vec<AtomicU32> = (0..sum).into_par_iter().map(|_| AtomicU32::new(0)).collect();
         faces.par_chunks(width).zip(&mut tables).enumerate().for_each(|(task, (faces, table))| {
-            let mut corner = (3 * task * width) as u32;
-            for &vertex in faces.as_flattened() {
+            for (corner, &vertex) in (3 * task * width..).zip(faces.as_flattened()) {
                 let at = &mut table[vertex as usize][0];
-                corners[*at as usize].store(corner, Ordering::Relaxed);
+                corners[*at as usize].store(corner as u32, Ordering::Relaxed);
                 *at += 1;
-                corner += 1;
             }
         });
         Corners { starts, corners: corners.into_iter().map(AtomicU32::into_inner).collect(), open }

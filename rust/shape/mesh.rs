@@ -1,7 +1,7 @@
 //! Triangle meshes with vertices in R^D.
 
 use crate::error::{Error, Result};
-use crate::sparse::CHUNK;
+use crate::sparse::{CHUNK, first_not_finite};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -44,9 +44,7 @@ impl<'a> TriangleMesh<'a> {
         if count > u32::MAX as usize / 2 {
             return Err(Error::input(format!("{count} vertices; a mesh can have up to 2^31 - 1")));
         }
-        // whole chunks first: a loop without an exit is compiled for the machine's vectors
-        let fine = vertices.par_chunks(CHUNK).all(|part| part.iter().fold(true, |fine, number| fine & number.is_finite()));
-        if let Some(at) = (!fine).then(|| vertices.iter().position(|number| !number.is_finite())).flatten() {
+        if let Some(at) = first_not_finite(&vertices) {
             return Err(Error::input(format!(
                 "coordinate {} of vertex {} is {}; remove that vertex or give it a finite position",
                 at % dimension,

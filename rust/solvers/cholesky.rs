@@ -9,7 +9,7 @@ use super::sweep::{self, Block};
 use super::symbolic::{NONE, Symbolic, same_sums};
 use crate::control::Control;
 use crate::error::{Error, Result};
-use crate::sparse::{CHUNK, Csr};
+use crate::sparse::{CHUNK, Csr, first_not_finite};
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -236,7 +236,7 @@ impl Cholesky {
                 n.saturating_mul(width)
             )));
         }
-        if let Some(at) = b.par_iter().with_min_len(1 << 14).position_first(|number| !number.is_finite()) {
+        if let Some(at) = first_not_finite(b) {
             return Err(Error::input(format!("row {} of right-hand side {} is {}; it must be finite", at / width, at % width, b[at])));
         }
         if self.values.first().is_some_and(|first| first.is_nan()) {

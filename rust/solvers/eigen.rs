@@ -9,7 +9,7 @@ use super::indefinite::Indefinite;
 use super::{Cholesky, Scratch};
 use crate::control::Control;
 use crate::error::{Error, Result};
-use crate::sparse::Csr;
+use crate::sparse::{Csr, first_not_finite};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
 use rayon::prelude::*;
@@ -788,7 +788,7 @@ impl Search<'_> {
         let mut next = vec![0.0; self.mass_block.len()];
         self.factor.solve_block_into(&self.mass_block, width, &mut next, &mut self.scratch)?;
         self.control.check()?;
-        if next.iter().any(|number| !number.is_finite()) {
+        if first_not_finite(&next).is_some() {
             return Err(Error::numerical(
                 "a solve of the eigenproblem overflowed; rescale the shape, or use laplacian=\"intrinsic_delaunay\"",
             ));
