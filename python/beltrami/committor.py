@@ -43,7 +43,8 @@ Sampling = Literal["any", "gibbs", "weighted", "mixed"]
 
 STEEPEST = 600.0  # β U may exceed its least value by as much: exp(-600) is a number yet
 TAIL = 3e-5  # q closer to 0 or 1 counts as that in the second estimate of the rate
-LEAST_SHARE = 0.2  # colder than a fifth of β samples are not taken for Gibbs samples
+LEAST_SHARE = 0.5  # samples hotter than twice the temperature are dense enough where the transition is
+CLUMP = 30  # neighbours whose mean spacing is to be expected
 FARTHEST = 4.0  # how many times their measured spacing the points at the outskirts may be apart
 LOST = 1e-6  # how far the two committors' sum may be from 1
 
@@ -265,25 +266,30 @@ def _weak(
     ) from last
 
 
-def _outskirts(ops: CloudOperators, u: Floats) -> Floats | None:
-    """Spacing to be expected at each point where the potential explains the samples' density, as that of Gibbs samples at any temperature.
+def _expected_spacing(ops: CloudOperators, u: Floats) -> Floats | None:
+    """Spacing to be expected at each point, which says how large a simplex may be before it counts as a hole; None where none is missing.
 
-    Such a cloud ends because U is high, and the large simplices there are no holes: without them a barrier with few samples conducts too
-    little. A line is fitted to log density against β U, outliers counting little; None where it explains less than a half of the
-    scatter, as for uniform samples, which end at a wall.
+    It is at least the mean around: random points lie in clumps, beside which chance gaps look like holes. And where the potential explains
+    the samples' density, as that of Gibbs samples, the cloud ends because U is high, and large simplices there are no holes either:
+    without them a barrier with few samples conducts too little. For that a line is fitted to log density against β U, outliers counting
+    little; it must explain more than half of the scatter, which it does not for uniform samples: those end at a wall.
     """
-    d, spacing = ops.shape.dimension, ops.point_spacing
-    density = -d * np.log(spacing)
+    if not ops.boundary.any():
+        return None
+    d, points, spacing = ops.shape.dimension, ops.shape.points, ops.point_spacing
+    logarithm = np.log(spacing)
+    around = nearest_neighbors(points, points, min(CLUMP, len(points)))[0]
+    expected = np.exp(logarithm[around].mean(1))
+    density = -d * logarithm
     terms, weight = np.stack([np.ones_like(u), -u], 1), np.ones(len(u))
     for _ in range(10):
         line = np.linalg.lstsq(terms * weight[:, None], density * weight, rcond=None)[0]
         off = np.abs(density - terms @ line)
         weight = 1 / np.sqrt(np.maximum(1.0, off / max(3 * float(np.median(off)), 1e-12)))
     share = float(np.clip(line[1], 0.0, 1.0))  # inverse temperature of the samples, over β
-    if share < LEAST_SHARE or np.square(density - terms @ line).sum() > np.square(density - density.mean()).sum() / 2:
-        return None
-    # beyond its point the density goes on falling
-    expected = (1 + share * share) * np.exp(-(terms @ line) / d)
+    if share > LEAST_SHARE and np.square(density - terms @ line).sum() < np.square(density - density.mean()).sum() / 2:
+        # beyond its point the density goes on falling
+        expected = np.maximum(expected, (1 + share * share) * np.exp(-(terms @ line) / d))
     return np.asarray(np.clip(expected, spacing, FARTHEST * spacing), float)
 
 
@@ -1092,7 +1098,7 @@ def committor(
         ops = operators(PointCloud(points[kept], dimension=given.dimension, normals=normals))
     part_of = slice(None) if kept is None else kept
     if method == "weak" and isinstance(ops, CloudOperators) and not isinstance(ops, LeastSquaresOperators):
-        reach = _outskirts(ops, u[part_of])
+        reach = _expected_spacing(ops, u[part_of])
         if reach is not None:
             ops = ops.reaching(reach)
 
