@@ -208,8 +208,8 @@ class ReebGraph:
         return heights
 
     def _spurious(self, first: list[int], second: list[int], height: float, spacing: float, step: float) -> bool:
-        """Whether two sides of a loop are no two tubes: one is thinner than the sampling shows, or an arc and no ring, or within the
-        other, or the loop is but one level high and its sides touch."""
+        """Whether two sides of a loop are no two tubes: one is thinner than the sampling shows, or an arc of the ring that the other
+        completes, or within the other, or the loop is but one level high and its sides touch."""
         radius = [float(np.median(self.radii[side])) for side in (first, second)]
         if min(radius) < 0.75 * spacing:
             return True
@@ -220,7 +220,10 @@ class ReebGraph:
             return True
         if height < 1.5 * step and apart < 1.6 * sum(self.radii[middle]):
             return True
-        return max(self.opening([middle[0]]), self.opening([middle[1]])) > 1.8
+        if max(self.opening([middle[0]]), self.opening([middle[1]])) <= 1.8:
+            return False
+        # two arcs: of one ring, unless they lie far apart and make no ring together, as in an open scan
+        return apart < 2.5 * sum(self.radii[middle]) or self.opening(middle) < 1.8
 
 
 class _Forest:

@@ -379,6 +379,14 @@ def test_twenty_seeds_with_noise(name: str, seed: int) -> None:
     assert counted(bt.skeleton(bt.PointCloud(points))) == (1, loops, leaves)
 
 
+@pytest.mark.parametrize("below", [-0.1, 0.0])
+def test_an_open_scan_of_a_ring_is_a_ring(below: float) -> None:
+    """Its contours are arcs on both sides, far from each other: no halves of one ring."""
+    points, _ = tube(SOLIDS["ring"][0], 0.3, 5000, np.random.default_rng(2), 0.0)
+    r = bt.skeleton(bt.PointCloud(points[points[:, 2] > below]))
+    assert (r.cycles, r.leaves) == (1, 0)
+
+
 @pytest.mark.parametrize("scale", [1e-300, 1e300])
 def test_functions_of_any_scale(scale: float) -> None:
     mesh = bt.shapes.torus(1.0, 0.4)
