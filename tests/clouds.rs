@@ -43,7 +43,7 @@ fn mesh(points: &[f64], ambient: usize, dimension: usize) -> LocalMesh {
 }
 
 fn view<'a>(points: &'a [f64], ambient: usize, mesh: &'a LocalMesh) -> VotedSimplices<'a> {
-    VotedSimplices::new(points, ambient, mesh.dimension, &mesh.simplices, &mesh.votes).unwrap()
+    VotedSimplices::new(points, ambient, mesh.dimension, &mesh.simplices, &mesh.votes).unwrap().stretched(&mesh.stretch).unwrap()
 }
 
 #[test]
@@ -220,8 +220,8 @@ fn curves_and_three_spheres() {
         .collect();
     let cloud = mesh(&points, 4, 3);
     let volume: f64 = view(&points, 4, &cloud).mass().unwrap().iter().sum();
-    // inscribed: short by the order of h²/10, h = (2 pi² / 3000)^(1/3) = 0.19
-    assert!((volume / (2.0 * std::f64::consts::PI.powi(2)) - 1.0).abs() < 0.03, "{volume}");
+    // flat tetrahedra are short by 2 %; curved to second order, an error of order h^4 and of the few simplices that stars disagree on is left
+    assert!((volume / (2.0 * std::f64::consts::PI.powi(2)) - 1.0).abs() < 0.01, "{volume}");
 }
 
 /// 23 x 23 grid points without the 11 x 11 in the middle: a hole, unless points are expected to be so far apart.
@@ -320,4 +320,22 @@ fn subsets_keep_their_distance() {
     twice.extend_from_slice(&points[..30]);
     let kept = first_copies(&twice, 3, &Control::default()).unwrap();
     assert!(kept[..2000].iter().all(|&kept| kept) && kept[2000..].iter().all(|&kept| !kept));
+}
+
+#[test]
+fn stars_break_the_ties_of_grids_alike() {
+    // cells of a torus' grid are trapezoids: all corners lie on a circle
+    let (rows, columns) = (80, 32);
+    let torus: Vec<f64> = (0..rows * columns)
+        .flat_map(|i| {
+            let (u, v) =
+                ((i / columns) as f64 / rows as f64 * std::f64::consts::TAU, (i % columns) as f64 / columns as f64 * std::f64::consts::TAU);
+            let w = 1.0 + 0.4 * v.cos();
+            [w * u.cos(), w * u.sin(), 0.4 * v.sin()]
+        })
+        .collect();
+    let surface = mesh(&torus, 3, 2);
+    assert!(!surface.boundary.contains(&true));
+    let area: f64 = view(&torus, 3, &surface).mass().unwrap().iter().sum();
+    assert!((area / (1.6 * std::f64::consts::PI.powi(2)) - 1.0).abs() < 0.01, "{area}");
 }

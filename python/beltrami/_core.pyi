@@ -105,7 +105,7 @@ def weld(
     vertices: Floats, faces: Ints, data: list[tuple[str, npt.NDArray[Any]]]
 ) -> tuple[Floats, Ints, list[tuple[str, npt.NDArray[Any]]]]: ...
 
-_SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
+_SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8], Floats | None]
 
 # local_mesh
 def local_mesh(
@@ -115,7 +115,18 @@ def local_mesh(
     normals: Floats | None = None,
     reach: Floats | None = None,
     progress: Callable[[float], object] | None = None,
-) -> tuple[Ints, npt.NDArray[np.uint8], npt.NDArray[np.bool_], npt.NDArray[np.bool_], Floats, Floats, Floats, float]: ...
+) -> tuple[
+    Ints,
+    npt.NDArray[np.uint8],
+    npt.NDArray[np.uint8],
+    Floats,
+    npt.NDArray[np.bool_],
+    npt.NDArray[np.bool_],
+    Floats,
+    Floats,
+    Floats,
+    float,
+]: ...
 def local_stiffness(mesh: _SimplexArrays, potential: Floats | None = None) -> _CsrParts: ...
 def local_mass(mesh: _SimplexArrays) -> Floats: ...
 def local_edge_length(mesh: _SimplexArrays) -> float: ...

@@ -19,12 +19,14 @@ from .progress import Progress, reporter
 from .shapes import PointCloud
 
 Weight = Literal["special", "gaussian", "wendland", "uniform"]
-SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8]]
+SimplexArrays = tuple[Floats, Ints, npt.NDArray[np.uint8], Floats | None]
 
 
 class _LocalMesh(NamedTuple):
     simplices: Ints
     votes: npt.NDArray[np.uint8]
+    voters: npt.NDArray[np.uint8]
+    stretch: Floats
     certified: npt.NDArray[np.bool_]
     boundary: npt.NDArray[np.bool_]
     spacing: Floats
@@ -48,6 +50,8 @@ class CloudOperators(Operators):
         Point numbers, ascending.
     votes : ndarray (m,) of uint8
         From 1 to d + 1.
+    voters : ndarray (m,) of uint8
+        Whose votes: bit k stands for the star of the simplex's k-th corner.
     certified : float
         Share of the points whose star provably is their Delaunay star: no point that could change it was left out.
     certified_points : ndarray (n,) of bool
@@ -88,6 +92,10 @@ class CloudOperators(Operators):
         if not found.certified.all():
             wrong = np.flatnonzero(~found.certified)
             notes += (f"the stars of {len(wrong)} of {len(found.certified)} points are not certified, the first is {wrong[0]}",)
+        agreed = float((found.votes == d + 1).mean())
+        if agreed < 0.7:
+            why = "noise, sheets near each other, or cells far longer than wide"
+            notes += (f"the stars agree on {100 * agreed:.0f} % of the simplices only ({why})",)
         object.__setattr__(self, "notes", tuple(dict.fromkeys(self.notes + notes)))
         return found
 
@@ -107,6 +115,11 @@ class CloudOperators(Operators):
     def votes(self) -> npt.NDArray[np.uint8]:
         """Corners whose star holds the simplex, (m,)."""
         return self._found.votes
+
+    @property
+    def voters(self) -> npt.NDArray[np.uint8]:
+        """Which corners' stars hold the simplex, (m,): bit k stands for corner k."""
+        return self._found.voters
 
     @property
     def certified_points(self) -> npt.NDArray[np.bool_]:
@@ -135,8 +148,8 @@ class CloudOperators(Operators):
 
     @property
     def local_mesh(self) -> SimplexArrays:
-        """Points, simplices and votes, as the core's kernels take them."""
-        return self.shape.points, self.simplices, self.votes
+        """Points, simplices, votes and stretch, as the core's kernels take them."""
+        return self.shape.points, self.simplices, self.votes, self._found.stretch
 
     @property
     def certified(self) -> float:
@@ -153,6 +166,39 @@ class CloudOperators(Operators):
     def mass(self) -> Floats:
         """Lumped masses, (n,), in units of length^d."""
         return arrays.read_only(_core.local_mass(self.local_mesh))
+
+    @cached_property
+    def raw_stiffness(self) -> scipy.sparse.csr_array:
+        """(n, n): each row from its own point's star alone (Lai, Liang and Zhao). Rows sum to zero; not symmetric where stars disagree."""
+        n, space = self.shape.points.shape
+        size = self.shape.dimension + 1
+        hats = self.simplex_gradient.data.reshape(-1, space, size)
+        products = np.einsum("mxi,mxj->mij", hats, hats) * self._volumes[:, None, None]
+        simplex, corner = np.nonzero(self._held)
+        rows = np.repeat(self.simplices[simplex, corner], size)
+        entries = scipy.sparse.coo_array((products[simplex, corner].ravel(), (rows, self.simplices[simplex].ravel())), shape=(n, n))
+        matrix = scipy.sparse.csr_array(entries)
+        matrix.sort_indices()
+        return arrays.csr_out((matrix.data, matrix.indices, matrix.indptr), (n, n))
+
+    @cached_property
+    def raw_mass(self) -> Floats:
+        """(n,): a (d + 1)-th of each point's own star, in units of length^d."""
+        size = self.shape.dimension + 1
+        simplex, corner = np.nonzero(self._held)
+        weights = self._volumes[simplex] / size
+        sums = np.bincount(self.simplices[simplex, corner], weights=weights, minlength=len(self.shape.points))
+        return arrays.read_only(sums.astype(np.float64))
+
+    @property
+    def _held(self) -> npt.NDArray[np.bool_]:
+        held: npt.NDArray[np.bool_] = (self.voters[:, None] >> np.arange(self.shape.dimension + 1, dtype=np.uint8)) % 2 == 1
+        return held
+
+    @cached_property
+    def _volumes(self) -> Floats:
+        volumes: Floats = _core.local_volumes(self.local_mesh) * self._found.stretch
+        return volumes
 
     @cached_property
     def spacing(self) -> float:
@@ -181,9 +227,11 @@ class CloudOperators(Operators):
 
     @cached_property
     def simplex_areas(self) -> Floats:
-        """(m,): area (volume) of each simplex, times votes / (d + 1): they add up to the mass."""
-        volumes: Floats = _core.local_volumes(self.local_mesh) * self.votes / (self.shape.dimension + 1)
-        return arrays.read_only(volumes)
+        """(m,): area (volume) of each simplex, times votes / (d + 1): they add up to the mass.
+
+        In three-dimensional clouds that are curved each simplex counts with the volume of the curved one between its corners.
+        """
+        return arrays.read_only(self._volumes * self.votes / (self.shape.dimension + 1))
 
     @cached_property
     def simplex_gradient(self) -> scipy.sparse.csr_array:
@@ -242,6 +290,21 @@ class CloudOperators(Operators):
         return self.mass
 
 
+class RawOperators(CloudOperators):
+    """Operators of a point cloud whose Laplacian has raw rows, made by ``bt.operators(cloud, symmetric=False)``.
+
+    Each row of ``laplacian`` comes from its own point's star alone, as Lai, Liang and Zhao state the method; it is not symmetric where
+    stars disagree. Eigenproblems and Poisson equations take ``stiffness`` and ``mass``, which are the symmetric ones.
+    """
+
+    @cached_property
+    def laplacian(self) -> scipy.sparse.csr_array:
+        """Laplace-Beltrami, (n, n): ``-diag(raw_mass)^-1 raw_stiffness``."""
+        rows = np.divide(-1.0, self.raw_mass, out=np.zeros(len(self.raw_mass)), where=self.raw_mass > 0)
+        matrix = self.raw_stiffness
+        return arrays.csr_out((matrix.data * np.repeat(rows, np.diff(matrix.indptr)), matrix.indices, matrix.indptr), matrix.shape)
+
+
 class LeastSquaresOperators(CloudOperators):
     """Operators of a point cloud by moving least squares, made by ``bt.operators(cloud, laplacian="mls")``.
 
@@ -297,12 +360,13 @@ def _dimension_note(estimate: float, dimension: int) -> tuple[str, ...]:
 
 def _local_mesh(cloud: PointCloud, mass: str, options: dict[str, Any]) -> Operators:
     neighbors, reach, progress = options.pop("neighbors", None), options.pop("reach", None), options.pop("progress", None)
-    _no_more(options, mass, "local_mesh", "neighbors, reach, progress")
+    family = CloudOperators if options.pop("symmetric", True) else RawOperators
+    _no_more(options, mass, "local_mesh", "neighbors, reach, symmetric, progress")
     if neighbors is not None:
         neighbors = arrays.whole(neighbors, "neighbors", cloud.dimension + 1)
     if reach is not None:
         reach = arrays.floats(reach, "reach", (len(cloud.points),))
-    ops = CloudOperators(cloud, "local_mesh", neighbors=neighbors, progress=progress, reach=reach)
+    ops = family(cloud, "local_mesh", neighbors=neighbors, progress=progress, reach=reach)
     _ = ops.stiffness, ops.mass, ops.spacing  # what is wrong with the cloud is said now
     return ops
 

@@ -583,8 +583,8 @@ class CommittorDiagnostics:
             found.append(f"{100 * (1 - self.certified):.2g} % of the stars are not certified")
         if self.agreed < 0.8:
             found.append(
-                f"the stars disagree about {100 * (1 - self.agreed):.0f} % of the area: the surface is sampled too sparsely there, or in a "
-                "grid, whose cells are better given as a mesh"
+                f"the stars disagree about {100 * (1 - self.agreed):.0f} % of the area: the surface is sampled too sparsely there, or in "
+                "cells far longer than wide"
             )
         if self.rate_mismatch > 0.1:
             found.append(f"the two estimates of the rate differ by {100 * self.rate_mismatch:.2g} %")

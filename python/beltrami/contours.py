@@ -21,7 +21,7 @@ def cloud_contours(shape: PointCloud | CloudOperators, values: npt.ArrayLike, he
     ops = operators(shape)
     if not isinstance(ops, CloudOperators) or ops.shape.dimension != 2:
         raise InputError("contours are curves on surfaces; this cloud has another dimension than 2")
-    points, triangles, votes = ops.local_mesh
+    points, triangles, votes, _ = ops.local_mesh
     number = arrays.floats(values, "values", (len(points),))
     above = number > height
     inside = above[triangles]

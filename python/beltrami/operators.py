@@ -159,7 +159,8 @@ def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: 
     **options
         For clouds. ``neighbors=`` (int): how many each point starts from. ``progress=``. Of ``"local_mesh"``: ``reach=`` (n,), the
         distance to the 6th neighbour that is to be expected at each point (the measured one by default), in units of length; simplices
-        that are large beside it count as holes. And of ``"mls"``: ``degree=`` (2) of the
+        that are large beside it count as holes; ``symmetric=`` (True); False takes each row of ``laplacian`` from its own point's star
+        alone. And of ``"mls"``: ``degree=`` (2) of the
         polynomials, ``weight=`` ("special", "gaussian", "wendland" or "uniform"), ``constrained=`` (True): rows free of negative
         off-diagonal entries wherever that is possible.
 

@@ -22,6 +22,19 @@ pub(crate) const STEEP: f64 = 0.75;
 /// The neighbour whose distance counts as local spacing.
 const SPACING_RANK: usize = 6;
 
+/// Principal axes count as found when the least variance is this share of the greatest: otherwise the neighbours stand in a row, as
+/// on grids of long cells, and more are taken.
+const THIN: f64 = 0.02;
+
+/// The square of the cosine between the last axis and the neighbour that shows it.
+const ACROSS: f64 = 0.2;
+
+/// How many times the usual neighbours are taken at most to reach the next row.
+const ROWS: usize = 8;
+
+/// Neighbours lie on all sides when the determinant of their second moments is this share of what it is for a round neighbourhood.
+const ROUND: f64 = 0.15;
+
 /// A point whose spacing is so many times that of its neighbours, and of the whole cloud, is isolated.
 const ISOLATED: f64 = 20.0;
 
@@ -54,7 +67,12 @@ pub(crate) struct Frames {
     pub(crate) bends: Vec<f64>,
     /// Distance of the 6th neighbour, in scaled units.
     pub(crate) spacing: Vec<f64>,
-    /// The dimension that the growth of the neighbours' distances suggests.
+    /// Distance within which neighbours lie on all sides: `spacing`, or more where the cloud is sampled much more densely in one
+    /// direction than in another.
+    pub(crate) span: Vec<f64>,
+    /// Distance of the nearest neighbour.
+    pub(crate) nearest: Vec<f64>,
+    /// The dimension that the growth of the neighbours' distances suggests (Levina and Bickel 2004).
     pub(crate) estimate: f64,
 }
 
@@ -211,7 +229,7 @@ impl Work {
     fn new(ambient: usize, dimension: usize, width: usize) -> Self {
         let bases = [1, 2, 3].map(|degree| Monomials::new(dimension, degree));
         let terms = bases[2].len();
-        let order = ambient.min(2 * width + 2);
+        let order = ambient.min(ROWS * width + 2);
         Work {
             near: Scratch::default(),
             found: vec![],
@@ -320,6 +338,103 @@ impl Work {
         }
         let variances = (self.values[order - 1], self.values[order - dimension]);
         (variances.1 > 1e-12 * variances.0 && orthonormalize(axes, ambient)).then_some(variances)
+    }
+
+    /// Principal axes of as many neighbours as it takes to see more than one row of them; the offsets are those of the neighbours taken.
+    /// `false` if all stand in a row.
+    fn axes_of_rows(
+        &mut self,
+        cloud: &Cloud,
+        rank: usize,
+        dimension: usize,
+        (few, some, width): (usize, usize, usize),
+        found: &mut Vec<u32>,
+        axes: &mut [f64],
+    ) -> Result<bool> {
+        let ambient = cloud.ambient;
+        let round = |variances: Option<(f64, f64)>| variances.is_some_and(|(most, least)| least > THIN * most);
+        for reach in [few, some] {
+            if round(self.principal_axes(ambient, dimension, reach, axes)) && self.reaches_across(ambient, axes, reach) {
+                return Ok(true);
+            }
+        }
+        let (mut wider, most) = (width, (ROWS * width).min(cloud.count() - 1));
+        while wider < most {
+            wider = (2 * wider).min(most);
+            cloud.neighbors_into(rank, wider, &mut self.near, found)?;
+            self.offsets(cloud, rank, found);
+            if round(self.principal_axes(ambient, dimension, wider, axes)) && self.reaches_across(ambient, axes, wider) {
+                return Ok(true);
+            }
+        }
+        // no other row beside this one: what the nearest say, if they say anything
+        for reach in [some, (2 * width).min(cloud.count() - 1)] {
+            cloud.neighbors_into(rank, reach, &mut self.near, found)?;
+            self.offsets(cloud, rank, found);
+            if self.principal_axes(ambient, dimension, reach, axes).is_some() {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// One over the dimension that the growth of these distances suggests: Levina and Bickel's estimate, but of neighbours at the
+    /// greatest distance half are counted, so that it is right on grids as well.
+    fn growth(&self) -> f64 {
+        let last = self.distances[self.distances.len() - 1];
+        let inside = self.distances.iter().take_while(|&&distance| distance < last * (1.0 - 1e-9)).count();
+        let sum: f64 = self.distances[..inside].iter().map(|distance| (last / distance).ln()).sum();
+        sum / (inside as f64 - 1.0 + (self.distances.len() - inside) as f64 / 2.0).max(1.0)
+    }
+
+    /// How many neighbours it takes to have `count` and all others at the same distance.
+    fn whole_shell(&self, count: usize) -> usize {
+        let limit = self.distances[count - 1] * (1.0 + 1e-9);
+        count + self.distances[count..].iter().take_while(|&&distance| distance <= limit).count()
+    }
+
+    /// Whether some of the first neighbours lie along the last axis rather than ahead: neither the arc of one row of a grid nor the end
+    /// of a whisker, which sees its surface before it, shows a tangent space.
+    fn reaches_across(&self, ambient: usize, axes: &[f64], count: usize) -> bool {
+        let axis = &axes[axes.len() - ambient..];
+        self.offsets.chunks_exact(ambient).zip(&self.distances).take(count).any(|(offset, distance)| {
+            let along: f64 = offset.iter().zip(axis).map(|(x, a)| x * a).sum();
+            along * along >= ACROSS * distance * distance
+        })
+    }
+
+    /// Distance of the first neighbour with which the neighbours so far lie on all sides; that of the last if there is none.
+    fn span(&self, ambient: usize, axes: &[f64]) -> f64 {
+        let dimension = axes.len() / ambient;
+        let Some(&last) = self.distances.last() else { return 0.0 };
+        if !(2..=3).contains(&dimension) {
+            return 0.0;
+        }
+        let mut m = [0.0; 6]; // xx, xy, yy, xz, yz, zz
+        for (at, (offset, &distance)) in self.offsets.chunks_exact(ambient).zip(&self.distances).enumerate() {
+            let mut t = [0.0; 3];
+            for (t, axis) in t.iter_mut().zip(axes.chunks_exact(ambient)) {
+                *t = axis.iter().zip(offset).map(|(a, x)| a * x / last).sum();
+            }
+            for (m, product) in m.iter_mut().zip([t[0] * t[0], t[0] * t[1], t[1] * t[1], t[0] * t[2], t[1] * t[2], t[2] * t[2]]) {
+                *m += product;
+            }
+            if at + 1 < SPACING_RANK {
+                continue;
+            }
+            let plane = m[0] * m[2] - m[1] * m[1];
+            let (determinant, mean) = match dimension {
+                2 => (plane, (m[0] + m[2]) / 2.0),
+                _ => {
+                    let rest = m[3] * (m[3] * m[2] - m[4] * m[1]) - m[4] * (m[3] * m[1] - m[4] * m[0]);
+                    (m[5] * plane - rest, (m[0] + m[2] + m[5]) / 3.0)
+                }
+            };
+            if determinant >= ROUND * mean.powi(dimension as i32) {
+                return distance;
+            }
+        }
+        last
     }
 
     /// Tilts the frame by the linear term of a polynomial fit of the normal components; as it was if there are too few
@@ -442,6 +557,8 @@ impl Frames {
         let curves = dimension * (dimension + 1) / 2;
         let mut bends = vec![0.0; count * curves * ambient];
         let mut spacing = vec![0.0; count];
+        let mut span = vec![0.0; count];
+        let mut nearest = vec![0.0; count];
         let mut growth = vec![0.0; count];
         let mut states = vec![State::Sound; count];
         let progress = Progress::new(count, from, to, control);
@@ -449,37 +566,34 @@ impl Frames {
             .zip(axes.par_chunks_mut(TASK * dimension * ambient))
             .zip(bends.par_chunks_mut(TASK * curves * ambient))
             .zip(spacing.par_chunks_mut(TASK))
+            .zip(span.par_chunks_mut(TASK))
+            .zip(nearest.par_chunks_mut(TASK))
             .zip(growth.par_chunks_mut(TASK))
             .zip(states.par_chunks_mut(TASK))
             .enumerate()
             .try_for_each_init(
                 || Work::new(ambient, dimension, width),
-                |work, (task, (((((neighbors, axes), bends), spacing), growth), states))| -> Result<()> {
+                |work, (task, (((((((neighbors, axes), bends), spacing), span), nearest), growth), states))| -> Result<()> {
                     let tasks = neighbors.chunks_exact_mut(width).zip(axes.chunks_exact_mut(dimension * ambient));
                     for (at, ((neighbors, axes), bends)) in tasks.zip(bends.chunks_exact_mut(curves * ambient)).enumerate() {
                         let rank = task * TASK + at;
                         let mut found = std::mem::take(&mut work.found);
                         cloud.neighbors_into(rank, width, &mut work.near, &mut found)?;
                         neighbors.copy_from_slice(&found);
-                        work.offsets(cloud, rank, &found[..some]);
+                        work.offsets(cloud, rank, &found);
+                        // neighbours at one distance, as on grids, come all or not at all: what is fitted has the grid's symmetry
+                        let (few, some) = (work.whole_shell(few), work.whole_shell(some));
+                        work.offsets.truncate(some * ambient);
+                        work.distances.truncate(some);
                         spacing[at] = work.distances[near.min(some - 1)];
-                        growth[at] = (work.distances[some - 1] / spacing[at]).ln();
+                        nearest[at] = work.distances[0];
+                        growth[at] = work.growth();
                         if work.distances[0] <= COINCIDENT * spacing[at] {
                             states[at] = State::Duplicate;
                             work.found = found;
                             continue;
                         }
-                        let mut sound = match work.principal_axes(ambient, dimension, few, axes) {
-                            Some((most, least)) if least > 0.02 * most || some == few => true,
-                            _ => work.principal_axes(ambient, dimension, some, axes).is_some(),
-                        };
-                        if !sound {
-                            // Scan lines: all near neighbours stand in a row.
-                            let more = (2 * width).min(cloud.count() - 1);
-                            cloud.neighbors_into(rank, more, &mut work.near, &mut found)?;
-                            work.offsets(cloud, rank, &found);
-                            sound = work.principal_axes(ambient, dimension, more, axes).is_some();
-                        }
+                        let sound = work.axes_of_rows(cloud, rank, dimension, (few, some, width), &mut found, axes)?;
                         work.found = found;
                         if !sound {
                             states[at] = State::Flat;
@@ -490,6 +604,7 @@ impl Frames {
                             work.tilt(ambient, dimension, axes, None);
                             work.tilt(ambient, dimension, axes, Some(bends));
                         }
+                        span[at] = work.span(ambient, axes).max(spacing[at]);
                     }
                     progress.step(states.len())
                 },
@@ -497,10 +612,9 @@ impl Frames {
         refuse_duplicates(cloud, &states, &neighbors, width)?;
         refuse_isolated(cloud, &spacing, &neighbors, width)?;
         refuse_flat(cloud, &states, dimension)?;
-        let harmonic: f64 = (near + 1..some).map(|l| 1.0 / l as f64).sum();
         let mean = growth.iter().sum::<f64>() / count as f64;
-        let estimate = if mean > 0.0 && some > near + 1 { harmonic / mean } else { dimension as f64 };
-        Ok(Frames { dimension, width, neighbors, axes, bends, spacing, estimate })
+        let estimate = if mean > 0.0 && some > 6 { 1.0 / mean } else { dimension as f64 };
+        Ok(Frames { dimension, width, neighbors, axes, bends, spacing, span, nearest, estimate })
     }
 
     pub(crate) fn neighbors(&self, rank: usize) -> &[u32] {

@@ -3,8 +3,10 @@
 //!
 //! A star is found by inversion: with y_j the neighbours in tangential coordinates (their distances kept) and
 //! u_j = y_j / |y_j|², the simplices at the point are the facets of the convex hull of the u_j whose planes have the origin
-//! beneath them. Ties (grids) are broken by moving each point's paraboloid height by 1e-9 of its squared spacing times a
-//! number that depends on its index alone: all stars see the same weighted Delaunay triangulation, which has no ties.
+//! beneath them. The coordinates are conformal to third order (see `Chart`), so that stars agree on circumspheres. Ties, as on
+//! grids, are broken by moving each point's paraboloid height by a little of its squared spacing, times a number that depends
+//! on its index alone: all stars see the same weighted Delaunay triangulation, which has no ties. The little is 1e-9 (1e-6 for volumes);
+//! on grids of curved clouds it grows with the squared share of the spacing in the radius of curvature, as what stars see differs by.
 //!
 //! A star is *certified* when all points that could lie in one of its circumspheres were among its neighbours: the distance
 //! of the last neighbour is at least twice the greatest circumradius. Neighbours are doubled until it is.
@@ -54,6 +56,11 @@ pub struct LocalMesh {
     pub simplices: Vec<u32>,
     /// Votes of each simplex, 1 to d + 1.
     pub votes: Vec<u8>,
+    /// Whose votes: bit k stands for the star of the simplex's k-th corner.
+    pub voters: Vec<u8>,
+    /// Volume of the curved simplex over that of the flat one between its corners, to second order in its size; 1 but for
+    /// three-dimensional clouds in more than three dimensions.
+    pub stretch: Vec<f64>,
     /// Whether each point's star is certified.
     pub certified: Vec<bool>,
     /// Whether each point's star is open: the point lies where the cloud ends.
@@ -115,7 +122,7 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
     }
     let frames = Frames::new(&cloud, dimension, width, control, 0.1, 0.5)?;
     let reach = match options.reach {
-        None => frames.spacing.clone(),
+        None => frames.span.clone(),
         Some(given) if given.len() != cloud.count() => {
             return Err(Error::input(format!("reach has {} numbers, the cloud {} points", given.len(), cloud.count())));
         }
@@ -127,7 +134,8 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
         }
     };
     let stars = Stars::new(&cloud, &frames, reach, control, 0.5, 0.95)?;
-    let (simplices, votes) = stars.simplices(&cloud);
+    let (simplices, voters) = stars.simplices(&cloud);
+    let stretch = stretches(&cloud, &frames, &simplices);
     let boundary = stars.open(&cloud);
     let restore = |by_rank: &dyn Fn(usize) -> bool| -> Vec<bool> { cloud.rank.iter().map(|&rank| by_rank(rank as usize)).collect() };
     let size = dimension * ambient;
@@ -148,7 +156,9 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
     Ok(LocalMesh {
         dimension,
         simplices,
-        votes,
+        votes: voters.iter().map(|voters| voters.count_ones() as u8).collect(),
+        voters,
+        stretch,
         certified: restore(&|rank| stars.certified[rank]),
         boundary: restore(&|rank| boundary[rank]),
         spacing: cloud.rank.iter().map(|&rank| frames.spacing[rank as usize] / cloud.scale).collect(),
@@ -156,6 +166,58 @@ pub fn local_mesh(points: &[f64], ambient: usize, dimension: usize, options: &Lo
         curvature,
         estimated_dimension: frames.estimate,
     })
+}
+
+/// How much larger the curved simplices are than the flat ones. Between two points at distance c the cloud is longer by the factor
+/// 1 + |h(e, e)|² c² / 24, and a simplex whose edges have these lengths holds more than a flat one where curvature is positive; on a
+/// sphere of curvature K both together make 1 + K (Σ c² / 10 - R² / 2), with R the circumradius.
+fn stretches(cloud: &Cloud, frames: &Frames, simplices: &[u32]) -> Vec<f64> {
+    let (d, ambient) = (frames.dimension, cloud.ambient);
+    if d != 3 || ambient == d {
+        return vec![1.0; simplices.len() / (d + 1)];
+    }
+    let charts: Vec<Chart> =
+        (0..cloud.count()).into_par_iter().with_min_len(TASK).map(|rank| Chart::new(frames.bends(rank, ambient), ambient, d)).collect();
+    simplices
+        .par_chunks_exact(d + 1)
+        .with_min_len(TASK)
+        .map(|corners| {
+            let ranks: Vec<u32> = corners.iter().map(|&corner| cloud.rank[corner as usize]).collect();
+            let Some(element) = Element::new(&cloud.points, ambient, &ranks) else { return 1.0 };
+            // squares of the edges, what they gain, and what they would gain on a sphere of curvature 1
+            let (mut squares, mut gains) = (0.0, [[[0.0; 4]; 4]; 2]);
+            for a in 0..=d {
+                for b in 0..a {
+                    let (p, q) = (cloud.point(ranks[a] as usize), cloud.point(ranks[b] as usize));
+                    let square: f64 = p.iter().zip(q).map(|(x, y)| (x - y) * (x - y)).sum();
+                    let bend = |rank: u32| {
+                        let mut t = [0.0; 3];
+                        for (t, axis) in t.iter_mut().zip(frames.axes(rank as usize, ambient).chunks_exact(ambient)) {
+                            *t = axis.iter().zip(p.iter().zip(q)).map(|(a, (x, y))| a * (x - y)).sum();
+                        }
+                        charts[rank as usize].bend(t)
+                    };
+                    squares += square;
+                    let gain = [(bend(ranks[a]) + bend(ranks[b])) / 24.0, square * square / 12.0];
+                    for (gains, gain) in gains.iter_mut().zip(gain) {
+                        (gains[a][b], gains[b][a]) = (gain, gain);
+                    }
+                }
+            }
+            let growth = gains.map(|gain| {
+                let mut sum = 0.0;
+                for a in 0..d {
+                    for b in 0..d {
+                        sum += element.inverse[a][b] * (gain[0][a + 1] + gain[0][b + 1] - gain[a + 1][b + 1]);
+                    }
+                }
+                sum / 4.0 / element.unit / element.unit
+            });
+            let curvature = ranks.iter().map(|&rank| charts[rank as usize].sectional()).sum::<f64>() / ranks.len() as f64;
+            let rest = squares / 10.0 - element.circumradius * element.circumradius / 2.0 - growth[1];
+            1.0 + (growth[0] + curvature * rest).clamp(-0.2, 0.2)
+        })
+        .collect()
 }
 
 /// The circumradius beyond which a simplex is dropped, in units of the median distance to the 6th neighbour: a ball of that
@@ -170,6 +232,49 @@ fn jitter(index: u32) -> f64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Whether the nearest neighbours lie in pairs on opposite sides, as on a grid.
+fn paired(cloud: &Cloud, frames: &Frames, rank: usize) -> bool {
+    let (here, near) = (cloud.point(rank), frames.neighbors(rank));
+    let offsets: Vec<[f64; 3]> = near
+        .iter()
+        .map(|&neighbor| {
+            let there = cloud.point(neighbor as usize);
+            let mut t = [0.0; 3];
+            for (t, axis) in t.iter_mut().zip(frames.axes(rank, cloud.ambient).chunks_exact(cloud.ambient)) {
+                *t = axis.iter().zip(there.iter().zip(here)).map(|(a, (x, y))| a * (x - y)).sum();
+            }
+            t
+        })
+        .collect();
+    let opposite = |t: &[f64; 3]| offsets.iter().any(|s| length(std::array::from_fn(|i| s[i] + t[i])) <= 0.15 * length(*t));
+    offsets.iter().take(2 * frames.dimension).all(opposite)
+}
+
+/// By how much the points' paraboloid heights are moved to break ties. On grids of curved clouds every cell is a tie, and what two
+/// stars see of one simplex differs by about the share (span times curvature)² of the squared spacing: there heights are moved by as
+/// much, though never so much that a neighbour could hide a point. Elsewhere ties are rare, and what is moved is next to nothing, so
+/// that the numbering of the points does not matter.
+fn heights(cloud: &Cloud, frames: &Frames) -> Vec<f64> {
+    let ranks = || (0..cloud.count()).into_par_iter().with_min_len(TASK);
+    let paired: Vec<bool> = ranks().map(|rank| paired(cloud, frames, rank)).collect();
+    // in three dimensions the faces between tied points are thin, and rounding moves them more
+    let least = if frames.dimension == 3 { 1e-6 } else { 1e-9 };
+    ranks()
+        .map(|rank| {
+            let (span, nearest) = (frames.span[rank], frames.nearest[rank]);
+            let around = frames.neighbors(rank).iter().take(2 * frames.dimension).filter(|&&near| paired[near as usize]).count();
+            // three of four: random points have one pair in some hundred, and never such company
+            let share = if 4 * around >= 6 * frames.dimension {
+                let bending = Chart::new(frames.bends(rank, cloud.ambient), cloud.ambient, frames.dimension).bending();
+                least + (span * span * bending).min(0.05)
+            } else {
+                least
+            };
+            (share * span * nearest).min(0.5 * nearest * nearest) * jitter(cloud.original[rank])
+        })
+        .collect()
 }
 
 /// How many facets each point of a task has, the facets, and whether each star is certified and open.
@@ -189,8 +294,7 @@ impl Stars {
     fn new(cloud: &Cloud, frames: &Frames, reach: Vec<f64>, control: &Control, from: f64, to: f64) -> Result<Stars> {
         let dimension = frames.dimension;
         let progress = Progress::new(cloud.count(), from, to, control);
-        let heights: Vec<f64> =
-            (0..cloud.count()).map(|rank| 1e-9 * frames.spacing[rank] * frames.spacing[rank] * jitter(cloud.original[rank])).collect();
+        let heights = heights(cloud, frames);
         let tasks: Vec<StarsOfTask> = (0..cloud.count().div_ceil(TASK))
             .into_par_iter()
             .map_init(StarWork::default, |work, task| {
@@ -240,20 +344,20 @@ impl Stars {
         self.of(rank as usize).iter().any(|facet| facet.corners == wanted)
     }
 
-    /// Votes for a simplex; 0 if a corner of less rank has it too and counts it.
-    fn votes(&self, rank: usize, simplex: &[u32; 4]) -> u8 {
-        let mut votes = 0;
-        for &corner in &simplex[..=self.dimension] {
+    /// Which corners' stars hold a simplex, a bit each; 0 if a corner of less rank does and counts it.
+    fn voters(&self, rank: usize, simplex: &[u32; 4]) -> u8 {
+        let mut voters = 0;
+        for (at, &corner) in simplex[..=self.dimension].iter().enumerate() {
             if corner as usize == rank {
-                votes += 1;
+                voters |= 1 << at;
             } else if self.holds(corner, simplex) {
                 if (corner as usize) < rank {
                     return 0;
                 }
-                votes += 1;
+                voters |= 1 << at;
             }
         }
-        votes
+        voters
     }
 
     /// Whether a simplex is small enough for its place, and no sliver without a gradient.
@@ -267,7 +371,7 @@ impl Stars {
         element.is_some_and(|element| element.circumradius <= radius_factor(self.dimension) * middle)
     }
 
-    /// All simplices with their votes, in the user's numbering and lexicographic order.
+    /// All simplices with their voters, in the user's numbering and lexicographic order.
     fn simplices(&self, cloud: &Cloud) -> (Vec<u32>, Vec<u8>) {
         let size = self.dimension + 1;
         let mut found: Vec<([u32; 4], u8)> = (0..cloud.count())
@@ -276,8 +380,8 @@ impl Stars {
             .flat_map_iter(|rank| {
                 self.of(rank).iter().filter_map(move |facet| {
                     let simplex = self.simplex(rank, facet);
-                    let votes = self.votes(rank, &simplex);
-                    (votes > 0 && self.fits(cloud, &simplex)).then_some((simplex, votes))
+                    let voters = self.voters(rank, &simplex);
+                    (voters > 0 && self.fits(cloud, &simplex)).then_some((simplex, voters))
                 })
             })
             .collect();
@@ -297,16 +401,21 @@ impl Stars {
         kept.sort_unstable();
         kept.dedup();
         found.extend(kept.iter().map(|simplex| {
-            let votes = simplex[..size].iter().filter(|&&corner| self.holds(corner, simplex)).count();
-            (*simplex, votes as u8)
+            let voters = (0..size).filter(|&at| self.holds(simplex[at], simplex)).fold(0, |voters, at| voters | 1 << at);
+            (*simplex, voters)
         }));
-        for (simplex, _) in &mut found {
-            simplex[..size].iter_mut().for_each(|corner| *corner = cloud.original[*corner as usize]);
-            simplex[..size].sort_unstable();
+        for (simplex, voters) in &mut found {
+            let mut corners = [(u32::MAX, 0); 4];
+            for (at, slot) in corners[..size].iter_mut().enumerate() {
+                *slot = (cloud.original[simplex[at] as usize], *voters >> at & 1);
+            }
+            corners[..size].sort_unstable();
+            *simplex = corners.map(|corner| corner.0);
+            *voters = (0..size).fold(0, |voters, at| voters | corners[at].1 << at);
         }
         found.par_sort_unstable();
-        let votes = found.iter().map(|(_, votes)| *votes).collect();
-        (found.iter().flat_map(|(simplex, _)| simplex[..size].iter().copied()).collect(), votes)
+        let voters = found.iter().map(|(_, voters)| *voters).collect();
+        (found.iter().flat_map(|(simplex, _)| simplex[..size].iter().copied()).collect(), voters)
     }
 
     /// Whether each point's star is open once large simplices are dropped: some ridge of its link is in one facet only.
@@ -366,8 +475,7 @@ impl StarWork {
     fn coordinates(&mut self, cloud: &Cloud, frames: &Frames, heights: &[f64], rank: usize) -> f64 {
         let (ambient, dimension) = (cloud.ambient, frames.dimension);
         let (here, axes) = (cloud.point(rank), frames.axes(rank, ambient));
-        let bends = frames.bends(rank, ambient);
-        let mut height = vec![0.0; ambient];
+        let chart = Chart::new(frames.bends(rank, ambient), ambient, dimension);
         let mut reach = 0.0;
         self.kept.clear();
         self.flat.clear();
@@ -390,19 +498,7 @@ impl StarWork {
                 {
                     continue;
                 }
-                // lengths along the fitted surface: those of the chords themselves would hold each point's noise
-                height.fill(0.0);
-                let mut next = 0;
-                for a in 0..dimension {
-                    for b in a..dimension {
-                        let product = t[a] * t[b];
-                        height.iter_mut().zip(&bends[next * ambient..][..ambient]).for_each(|(height, bend)| *height += product * bend);
-                        next += 1;
-                    }
-                }
-                let rise: f64 = height.iter().map(|x| x * x).sum();
-                let stretch = (1.0 + (rise / tangential).min(1.0)).sqrt();
-                t.iter_mut().for_each(|t| *t *= stretch);
+                t = chart.straighten(t);
             }
             let power = t.iter().map(|t| t * t).sum::<f64>() + heights[neighbor as usize] - heights[rank];
             self.kept.push(neighbor);
@@ -422,6 +518,108 @@ impl StarWork {
             facet.corners[..dimension].sort_unstable();
         }
         self.facets.sort_unstable_by_key(|facet| facet.corners);
+    }
+}
+
+/// The map from tangential coordinates to conformal ones of the fitted surface, to third order.
+///
+/// Normal coordinates are y = t + (h(t) · h(t, t)) / 6, with h the second fundamental form. They keep distances from the star's own
+/// point but not circles; with S the Schouten tensor (half the Gaussian curvature of a surface), z = y + S(y, y) y / 3 - |y|² S y / 6
+/// are normal coordinates of a metric that is conformal to the surface's and flat at the point: circumspheres there are circumspheres
+/// here, so that the stars of all points see the same Delaunay simplices but for terms of the next order. (On a sphere: stereographic
+/// projection.)
+struct Chart {
+    dimension: usize,
+    /// h_ab · h_cd
+    products: [[f64; 6]; 6],
+    schouten: [[f64; 3]; 3],
+}
+
+/// Where h_ab stands among the pairs a <= b.
+const PAIRS: [[[usize; 3]; 3]; 3] = [[[0; 3]; 3], [[0, 1, 0], [1, 2, 0], [0; 3]], [[0, 1, 2], [1, 3, 4], [2, 4, 5]]];
+
+#[allow(clippy::needless_range_loop)] // indices of small tensors, as they are written
+impl Chart {
+    /// From the coefficients of t_a t_b, a <= b, in the fit of the normal components.
+    fn new(bends: &[f64], ambient: usize, dimension: usize) -> Chart {
+        let pair = &PAIRS[dimension - 1];
+        let mut factors = [1.0; 6];
+        (0..dimension).for_each(|a| factors[pair[a][a]] = 2.0);
+        let mut products = [[0.0; 6]; 6];
+        let vectors: Vec<&[f64]> = bends.chunks_exact(ambient).collect();
+        for p in 0..vectors.len() {
+            for q in 0..=p {
+                let dot: f64 = vectors[p].iter().zip(vectors[q]).map(|(x, y)| x * y).sum();
+                products[p][q] = factors[p] * factors[q] * dot;
+                products[q][p] = products[p][q];
+            }
+        }
+        let mut ricci = [[0.0; 3]; 3];
+        let mut scalar = 0.0;
+        for a in 0..dimension {
+            for b in 0..dimension {
+                for c in 0..dimension {
+                    ricci[a][b] += products[pair[c][c]][pair[a][b]] - products[pair[a][c]][pair[b][c]];
+                }
+            }
+            scalar += ricci[a][a];
+        }
+        let mut schouten = [[0.0; 3]; 3];
+        for a in 0..dimension {
+            match dimension {
+                2 => schouten[a][a] = scalar / 4.0,
+                3 => {
+                    schouten[a] = ricci[a];
+                    schouten[a][a] -= scalar / 4.0;
+                }
+                _ => {}
+            }
+        }
+        Chart { dimension, products, schouten }
+    }
+
+    /// |h(t, t)|².
+    fn bend(&self, t: [f64; 3]) -> f64 {
+        let (d, pair) = (self.dimension, &PAIRS[self.dimension - 1]);
+        let indices = || (0..d).flat_map(move |a| (0..d).map(move |b| (a, b)));
+        indices().map(|(a, b)| indices().map(|(c, e)| t[a] * t[b] * t[c] * t[e] * self.products[pair[a][b]][pair[c][e]]).sum::<f64>()).sum()
+    }
+
+    /// The mean sectional curvature of a three-dimensional cloud.
+    fn sectional(&self) -> f64 {
+        // the trace of the Schouten tensor is a quarter of the scalar curvature, which is six times the mean
+        (0..self.dimension).map(|a| self.schouten[a][a]).sum::<f64>() * 4.0 / 6.0
+    }
+
+    /// Sum of the |h_ab|².
+    fn bending(&self) -> f64 {
+        let pair = &PAIRS[self.dimension - 1];
+        (0..self.dimension).flat_map(|a| (0..self.dimension).map(move |b| pair[a][b])).map(|p| self.products[p][p]).sum()
+    }
+
+    fn straighten(&self, t: [f64; 3]) -> [f64; 3] {
+        let (d, pair) = (self.dimension, &PAIRS[self.dimension - 1]);
+        // h(t, t) · h_p for each pair p
+        let mut along = [0.0; 6];
+        for a in 0..d {
+            for b in 0..d {
+                for p in 0..d * (d + 1) / 2 {
+                    along[p] += t[a] * t[b] * self.products[pair[a][b]][p];
+                }
+            }
+        }
+        let square: f64 = t.iter().map(|t| t * t).sum();
+        let (mut bent, mut stretch) = ([0.0; 3], 0.0);
+        for a in 0..d {
+            for b in 0..d {
+                bent[a] += t[b] * (along[pair[a][b]] - square * self.schouten[a][b]) / 6.0;
+                stretch += t[a] * t[b] * self.schouten[a][b] / 3.0;
+            }
+        }
+        let change: [f64; 3] = std::array::from_fn(|a| bent[a] + stretch * t[a]);
+        let size = length(change);
+        let share = (0.4 * square.sqrt() / size).min(1.0);
+        std::array::from_fn(|a| t[a] + share * change[a])
     }
 }
 
@@ -458,7 +656,13 @@ struct HullFace {
     corners: [u32; 3],
     normal: [f64; 3],
     offset: f64,
+    /// What rounding does to the height of a point above the face, per unit of distance: a thin face's normal is uncertain.
+    rounding: f64,
+    size: f64,
 }
+
+/// Relative error of a height above a face.
+const ROUNDING: f64 = 4e-15;
 
 /// The origin's number in a hull of three dimensions.
 const ORIGIN: u32 = u32::MAX;
@@ -533,9 +737,10 @@ impl Hull {
         let at = |corner: u32| if corner == ORIGIN { [0.0; 3] } else { u[corner as usize] };
         let face = |corners: [u32; 3]| {
             let [a, b, c] = corners.map(at);
-            let normal = cross(subtract(b, a), subtract(c, a));
+            let (ab, ac) = (subtract(b, a), subtract(c, a));
+            let normal = cross(ab, ac);
             // measured from the nearest corner to the origin's side: the least rounding
-            HullFace { corners, normal, offset: dot(normal, a) }
+            HullFace { corners, normal, offset: dot(normal, a), rounding: ROUNDING * length(ab) * length(ac), size: length(a) }
         };
         let Some(start) = first_tetrahedron(u) else { return true };
         self.faces.clear();
@@ -548,10 +753,12 @@ impl Hull {
             if start.contains(&index) {
                 continue;
             }
+            let size = length(*point);
             self.horizon.clear();
             let horizon = &mut self.horizon;
             self.faces.retain(|face| {
-                let inside = dot(face.normal, *point) <= face.offset;
+                // A point in the plane of a face, as grids have many, is not above it: rounding would say yes to one face and no to the next.
+                let inside = dot(face.normal, *point) <= face.offset + face.rounding * (size + face.size);
                 if !inside {
                     let [a, b, c] = face.corners;
                     for edge in [[a, b], [b, c], [c, a]] {
@@ -580,7 +787,7 @@ impl Hull {
             let (qr, rp, pq) = (cross(q, r), cross(r, p), cross(p, q));
             let (pp, qq, rr) = (dot(p, p), dot(q, q), dot(r, r));
             let center: [f64; 3] = std::array::from_fn(|i| (pp * qr[i] + qq * rp[i] + rr * pq[i]) / determinant);
-            let radius = dot(center, center).sqrt();
+            let radius = length(center);
             if radius.is_finite() {
                 out.push(Facet { corners: face.corners, radius });
             }
@@ -604,6 +811,10 @@ fn first_tetrahedron(u: &[[f64; 3]]) -> Option<[u32; 3]> {
         return None;
     }
     Some(if volume > 0.0 { [a as u32, b as u32, c as u32] } else { [a as u32, c as u32, b as u32] })
+}
+
+fn length(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
 }
 
 fn subtract(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -724,6 +935,7 @@ pub struct VotedSimplices<'a> {
     dimension: usize,
     corners: &'a [u32],
     votes: &'a [u8],
+    stretch: Option<&'a [f64]>,
 }
 
 impl<'a> VotedSimplices<'a> {
@@ -758,7 +970,25 @@ impl<'a> VotedSimplices<'a> {
         if let Some(at) = corners.par_iter().with_min_len(CHUNK).position_first(|&corner| corner as usize >= count) {
             return Err(Error::input(format!("simplex {} has corner {}, the cloud has {count} points", at / (dimension + 1), corners[at])));
         }
-        Ok(VotedSimplices { points, ambient, dimension, corners, votes })
+        Ok(VotedSimplices { points, ambient, dimension, corners, votes, stretch: None })
+    }
+
+    /// The same, each simplex counted so many times more in every sum ([`LocalMesh::stretch`]).
+    ///
+    /// ```
+    /// use beltrami::operators::VotedSimplices;
+    /// let mesh = VotedSimplices::new(&[0.0, 0.0, 1.0, 0.0, 0.0, 1.0], 2, 2, &[0, 1, 2], &[3])?.stretched(&[1.5])?;
+    /// assert!((mesh.mass()?.iter().sum::<f64>() - 0.75).abs() < 1e-15);
+    /// # Ok::<(), beltrami::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Input`] if there are not as many numbers as simplices, or one is not positive.
+    pub fn stretched(self, stretch: &'a [f64]) -> Result<Self> {
+        match stretch.len() == self.votes.len() && stretch.iter().all(|&x| x > 0.0 && x.is_finite()) {
+            true => Ok(VotedSimplices { stretch: Some(stretch), ..self }),
+            false => Err(Error::input(format!("stretch has {} numbers; {} positive ones are needed", stretch.len(), self.votes.len()))),
+        }
     }
 
     fn count(&self) -> usize {
@@ -770,7 +1000,7 @@ impl<'a> VotedSimplices<'a> {
     }
 
     fn share(&self, simplex: usize) -> f64 {
-        f64::from(self.votes[simplex]) / (self.dimension + 1) as f64
+        f64::from(self.votes[simplex]) / (self.dimension + 1) as f64 * self.stretch.map_or(1.0, |stretch| stretch[simplex])
     }
 
     fn element(&self, simplex: usize) -> Option<Element> {
@@ -807,7 +1037,7 @@ impl<'a> VotedSimplices<'a> {
     /// Lumped mass of each point: a (d + 1)-th of the volumes of its simplices.
     ///
     /// # Errors
-    /// [`Error::Numerical`] if a mass vanishes or is not finite; the points are named.
+    /// [`Error::Input`] if points are in no simplex, [`Error::Numerical`] if a mass underflows or is not finite; the points are named.
     pub fn mass(&self) -> Result<Vec<f64>> {
         let volumes = self.volumes();
         let mut mass = vec![0.0; self.count()];
@@ -826,7 +1056,7 @@ impl<'a> VotedSimplices<'a> {
                 bad.len(),
                 super::frames::name_some(&bad)
             ))),
-            Some(&first) if mass[first as usize] == 0.0 => Err(Error::numerical(format!(
+            Some(&first) if mass[first as usize] == 0.0 => Err(Error::input(format!(
                 "{} points ({}) are in no simplex; remove them or reach farther with a larger neighbors=",
                 bad.len(),
                 super::frames::name_some(&bad)

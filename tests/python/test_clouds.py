@@ -370,3 +370,93 @@ def test_oriented_normals_keep_the_sides_of_a_thin_shell_apart():
     plain, mixed = bt.operators(bt.PointCloud(outer)), bt.operators(bt.PointCloud(outer, normals=signs * outer))
     assert (plain.stiffness != mixed.stiffness).nnz == 0
     assert any("normals were not used" in note for note in mixed.notes)
+
+
+def torus_grid(rows, columns):
+    u, v = np.meshgrid(np.arange(rows) * 2 * np.pi / rows, np.arange(columns) * 2 * np.pi / columns, indexing="ij")
+    w = 1 + 0.4 * np.cos(v)
+    return np.c_[(w * np.cos(u)).ravel(), (w * np.sin(u)).ravel(), 0.4 * np.sin(v).ravel()]
+
+
+def sphere_grid(rows):
+    polar, angle = np.meshgrid(np.arange(1, rows) * np.pi / rows, np.arange(2 * rows) * np.pi / rows, indexing="ij")
+    points = np.c_[(np.sin(polar) * np.cos(angle)).ravel(), (np.sin(polar) * np.sin(angle)).ravel(), np.cos(polar).ravel()]
+    return np.r_[points, [[0, 0, 1], [0, 0, -1]]]
+
+
+def cylinder_grid(rows, columns):
+    angle, height = np.meshgrid(np.arange(rows) * 2 * np.pi / rows, np.linspace(0, 2, columns), indexing="ij")
+    return np.c_[np.cos(angle).ravel(), np.sin(angle).ravel(), height.ravel()]
+
+
+def flat_torus_grid(*counts):
+    angles = np.stack(np.meshgrid(*(np.arange(n) * 2 * np.pi / n for n in counts), indexing="ij"), -1).reshape(-1, len(counts))
+    return np.concatenate([np.cos(angles), np.sin(angles)], 1)
+
+
+def sums_of_squares(*units):
+    """Eigenvalues of products of circles (of half circles where the unit is no integer: Neumann segments)."""
+    sums = np.zeros(1)
+    for unit in units:
+        wave = np.arange(-9, 10) if unit == 1 else np.arange(10)
+        sums = (sums[:, None] + (unit * wave) ** 2).ravel()
+    return np.sort(sums)[:20]
+
+
+@pytest.mark.parametrize(
+    ("points", "dimension", "area", "exact", "bars"),
+    [
+        # areas: of inscribed triangles, second order in the largest spacing; eigenvalues likewise
+        (sphere_grid(48), 2, 4 * np.pi, harmonic_eigenvalues(25), (0.01, 0.012)),
+        (cylinder_grid(100, 32), 2, 4 * np.pi, sums_of_squares(1, np.pi / 2), (0.002, 0.01)),
+        (cylinder_grid(200, 20), 2, 4 * np.pi, sums_of_squares(1, np.pi / 2), (0.002, 0.01)),
+        (cylinder_grid(24, 100), 2, 4 * np.pi, sums_of_squares(1, np.pi / 2), (0.02, 0.12)),
+        (flat_torus_grid(100, 40), 2, 4 * np.pi**2, sums_of_squares(1, 1), (0.006, 0.02)),
+        (flat_torus_grid(14, 14, 14), 3, 8 * np.pi**3, sums_of_squares(1, 1, 1), (0.04, 0.06)),
+    ],
+    ids=["sphere", "cylinder", "wide cells", "long cells", "flat torus", "three-torus"],
+)
+def test_grids_on_curved_shapes(points, dimension, area, exact, bars):
+    """Every cell is a tie between diagonals, which all stars must break alike; a fixed third of the area was lost or counted twice."""
+    ops = bt.operators(bt.PointCloud(points, dimension=dimension))
+    assert ops.mass.sum() == pytest.approx(area, rel=bars[0])
+    assert bt.eigenpairs(ops, len(exact)).values[1:] == pytest.approx(exact[1:], rel=bars[1])
+
+
+@pytest.mark.parametrize("shape", [(120, 48), (80, 80), (40, 100), (200, 30)], ids=str)
+def test_grids_of_the_torus_at_any_aspect(shape):
+    points = torus_grid(*shape)
+    ops = bt.operators(bt.PointCloud(points))
+    mesh = bt.operators(bt.shapes.torus(1.0, 0.4, rows=200, columns=100))
+    assert not ops.boundary.any()
+    assert ops.mass.sum() == pytest.approx(1.6 * np.pi**2, rel=0.012)
+    assert bt.eigenpairs(ops, 12).values[1:] == pytest.approx(bt.eigenpairs(mesh, 12).values[1:], rel=0.03)
+
+
+def test_raw_rows_are_those_of_each_star_alone():
+    rng = np.random.default_rng(4)
+    points = rng.standard_normal((600, 3))
+    points *= (1 + 0.03 * rng.standard_normal((600, 1))) / np.linalg.norm(points, axis=1, keepdims=True)
+    cloud = bt.PointCloud(points)
+    ops, raw = bt.operators(cloud), bt.operators(cloud, symmetric=False)
+    assert (ops.votes < 3).any()
+    assert (raw.stiffness != ops.stiffness).nnz == 0
+    assert np.abs(raw.raw_stiffness @ np.ones(600)).max() < 1e-11
+    assert np.array_equal(np.unpackbits(ops.voters[:, None], axis=1).sum(1), ops.votes)
+    own = (ops.voters[:, None] >> np.arange(3)) % 2 == 1
+    held, corner = np.nonzero(own)
+    for point in (0, int(ops.simplices[ops.votes < 3][0, 0])):  # cotangents of the star's own triangles
+        row, area = np.zeros(600), 0.0
+        for triangle in held[ops.simplices[held, corner] == point]:
+            a, b = (k for k in ops.simplices[triangle] if k != point)
+            p, q, r = points[point], points[a], points[b]
+            twice = np.linalg.norm(np.cross(q - p, r - p))
+            row[a] -= (p - r) @ (q - r) / twice / 2
+            row[b] -= (p - q) @ (r - q) / twice / 2
+            area += twice / 6
+        row[point] = -row.sum()
+        assert raw.raw_stiffness[[point]].toarray()[0] == pytest.approx(row, abs=1e-11)
+        assert raw.laplacian[[point]].toarray()[0] == pytest.approx(-row / area, abs=1e-8 / area)
+    whole = np.ones(600, bool)
+    whole[ops.simplices[ops.votes < 3]] = False
+    assert abs((raw.laplacian - ops.laplacian)[whole]).max() < 1e-9 * abs(ops.laplacian).max()

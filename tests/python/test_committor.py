@@ -134,11 +134,24 @@ def test_mesh_and_cloud_agree() -> None:
     assert on_mesh.rate == pytest.approx(on_cloud.rate, rel=1e-3)
 
 
-def test_grids_on_curved_surfaces_are_called_doubtful() -> None:
-    """Four points of a torus' grid lie on a circle: their stars cannot agree on a diagonal, and areas are off by some percent."""
-    x = bt.shapes.torus(2.0, 0.8, rows=60, columns=24).vertices
+def test_grids_on_curved_surfaces() -> None:
+    """Four points of a torus' grid lie on a circle: their stars must choose one diagonal. The mesh of the same points judges."""
+    mesh = bt.shapes.torus(2.0, 0.8, rows=90, columns=36)
+    x = mesh.vertices
     a, b = ends(x)
-    assert "disagree" in bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0).verdict
+    on_cloud = bt.committor(bt.PointCloud(x), wells(x), a, b, beta=1.0)
+    on_mesh = bt.committor(mesh, wells(x), a, b, beta=1.0)
+    assert on_cloud.diagnostics.agreed > 0.8
+    assert "disagree" not in on_cloud.verdict
+    assert np.abs(on_cloud.q - on_mesh.q).max() < 0.01
+    assert on_cloud.rate == pytest.approx(on_mesh.rate, rel=0.01)
+
+
+def test_disagreeing_stars_are_called_doubtful() -> None:
+    """Noise as large as the spacing: no two stars see the same triangles."""
+    x = torus(1500, 3)
+    x = x + 0.1 * np.random.default_rng(0).standard_normal(x.shape)
+    assert "disagree" in bt.committor(bt.PointCloud(x), wells(x), *ends(x), beta=1.0).verdict
     assert bt.committor(bt.PointCloud(torus(1500, 3)), wells, *ends(torus(1500, 3)), beta=1.0).diagnostics.agreed > 0.9
 
 

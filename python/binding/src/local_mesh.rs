@@ -6,16 +6,23 @@ use beltrami::operators::{LocalMeshOptions, VotedSimplices};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-/// Points (n, D), simplices (m, d + 1) and votes (m,) as Python keeps them.
+/// Points (n, D), simplices (m, d + 1), votes (m,) and stretch (m,) or None as Python keeps them.
 #[derive(FromPyObject)]
-pub struct SimplexArrays<'py>(PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, i32>, PyReadonlyArray1<'py, u8>);
+pub struct SimplexArrays<'py>(
+    PyReadonlyArray2<'py, f64>,
+    PyReadonlyArray2<'py, i32>,
+    PyReadonlyArray1<'py, u8>,
+    Option<PyReadonlyArray1<'py, f64>>,
+);
 
 impl SimplexArrays<'_> {
     /// The core's view of these arrays, without a copy.
     pub fn simplices(&self) -> PyResult<VotedSimplices<'_>> {
         let (points, ambient) = table(&self.0)?;
         let (corners, columns) = table(&self.1)?;
+        let stretch = self.3.as_ref().map(vector).transpose()?;
         VotedSimplices::new(points, ambient, columns.saturating_sub(1), bytemuck::cast_slice(corners), vector(&self.2)?)
+            .and_then(|simplices| stretch.map_or(Ok(simplices), |stretch| simplices.stretched(stretch)))
             .map_err(|e| error::convert(self.0.py(), e))
     }
 }
@@ -23,6 +30,8 @@ impl SimplexArrays<'_> {
 type LocalMeshParts<'py> = (
     Bound<'py, PyArray2<i32>>,
     Bound<'py, PyArray1<u8>>,
+    Bound<'py, PyArray1<u8>>,
+    Bound<'py, PyArray1<f64>>,
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<f64>>,
@@ -31,7 +40,7 @@ type LocalMeshParts<'py> = (
     f64,
 );
 
-/// Simplices, votes, certified, boundary, spacing, frames (n, d D), second fundamental form (n, d (d + 1) / 2 D), estimated dimension.
+/// Simplices, votes, voters, stretch, certified, boundary, spacing, frames (n, d D), second fundamental form (n, d (d + 1) / 2 D), estimated dimension.
 #[pyfunction]
 #[pyo3(signature = (points, dimension, neighbors = None, normals = None, reach = None, progress = None))]
 pub fn local_mesh<'py>(
@@ -52,6 +61,8 @@ pub fn local_mesh<'py>(
     Ok((
         table_out(py, mesh.simplices.into_iter().map(|corner| corner as i32).collect(), dimension + 1)?,
         vector_out(py, mesh.votes),
+        vector_out(py, mesh.voters),
+        vector_out(py, mesh.stretch),
         vector_out(py, mesh.certified),
         vector_out(py, mesh.boundary),
         vector_out(py, mesh.spacing),
