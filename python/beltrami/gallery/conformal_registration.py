@@ -128,7 +128,7 @@ def apes(sheet: Sheet) -> None:
     marks = np.stack([samples[0][spread], samples[1][spread]], axis=1)
     rows = []
     for name, match in (
-        ("conformal", lambda: bt.register_conformal(gorilla, man, landmarks=marks)),
+        ("conformal", lambda: bt.register_conformal(gorilla, man, landmarks=marks, start="spherical")),
         ("register", lambda: bt.register(gorilla, man, landmarks=marks)),
     ):
         began = time.perf_counter()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -77,7 +78,8 @@ def collection(sheet: Sheet) -> None:
             names.append(f"{kind} {number + 1}")
             kinds.append(kind)
     start = time.perf_counter()
-    d = bt.distance_matrix(shapes, labels=names)
+    with ThreadPoolExecutor(2) as pool:
+        d = bt.distance_matrix(shapes, labels=names, executor=pool)
     seconds = time.perf_counter() - start
     right = int(sum(kinds[j] == kinds[i] for i, j in enumerate(d.nearest()[:, 0])))
     sheet.figures({"shapes": len(shapes), "nearest neighbour of the own kind": right, "seconds": seconds})

@@ -45,7 +45,7 @@ def cortex_regions(sheet: Sheet) -> None:
             size=(1600, 700),
         )
     thick = mesh.data["thickness"]
-    three = bt.segment(mesh, thick, fidelity=60.0, regions=3)
+    three = bt.segment(mesh, thick, fidelity=60.0, regions=3, tolerance=1e-3)
     sheet.picture(
         mesh,
         three.labels,
