@@ -197,8 +197,8 @@ impl SpaceTime {
     /// # use beltrami::{Control, shrink::Elements, transport::Domain};
     /// # let edge = Elements::new(2, 2, vec![0, 1], vec![1.0], vec![1.0])?; // one edge of length 1, masses 1/2
     /// # let domain = Domain::new(edge, vec![0.5, 0.5], None, &Control::default())?;
-    /// use beltrami::transport::{Ends, SpaceTime};
-    /// let solver = SpaceTime::new(&domain, 1, Ends::Fixed, 1.0, 1e9, &Control::default())?;
+    /// use beltrami::transport::{Ends, Mobility, SpaceTime};
+    /// let solver = SpaceTime::new(&domain, 1, Ends::Fixed, &Mobility::uniform(2, 1), 1e9, &Control::default())?;
     /// let mut psi = [0.0; 2];
     /// solver.solve(&domain, &[-1.0, 1.0], &mut psi, &Control::default())?;
     /// assert!((psi[1] - psi[0] - 1.0).abs() < 1e-14);
