@@ -1,6 +1,6 @@
 """Runs every comparison under benches/peers and writes what they print, with machine and versions, to benches/RESULTS.md.
 
-    python benches/results.py [name ...]
+python benches/results.py [name ...]
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 PEERS = (
     *("numpy", "scipy", "libigl", "lapy", "pynanoflann", "open3d", "open3d-cpu", "scikit-sparse", "POT", "PyMaxflow"),
-    *("robust-laplacian", "potpourri3d", "pyfmaps"),
+    *("robust-laplacian", "pcdiff", "potpourri3d", "pyfmaps"),
 )
 # Threads of BLAS that only wait count as processor time, tenfold in eigsh.
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", **os.environ}
