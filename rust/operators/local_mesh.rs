@@ -538,7 +538,6 @@ struct Chart {
 /// Where h_ab stands among the pairs a <= b.
 const PAIRS: [[[usize; 3]; 3]; 3] = [[[0; 3]; 3], [[0, 1, 0], [1, 2, 0], [0; 3]], [[0, 1, 2], [1, 3, 4], [2, 4, 5]]];
 
-#[allow(clippy::needless_range_loop)] // indices of small tensors, as they are written
 impl Chart {
     /// From the coefficients of t_a t_b, a <= b, in the fit of the normal components.
     fn new(bends: &[f64], ambient: usize, dimension: usize) -> Chart {

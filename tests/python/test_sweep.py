@@ -177,8 +177,8 @@ METHODS: dict[str, Callable[[Any, np.random.Generator], Any]] = {
     "distance_matrix": lambda s, rng: bt.distance_matrix([s, bt.shapes.sphere(1)], method="shape_dna"),
     "plot": lambda s, rng: bt.plot(s, _values(s, rng), size=(40, 30), samples=1),
 }
-# distance to what no source reaches; to what a ray does not hit; a skeleton whose loops no band removes
-INFINITE = {"geodesic_distance", "intersect_rays", "skeleton"}
+INFINITE = {"geodesic_distance", "intersect_rays"}  # distance to what no source reaches; to what a ray does not hit
+UNBOUNDED = {"stability"}  # of a skeleton: loops that bands of no width remove
 NOT_A_NUMBER = {"distance_matrix"}  # the row of a shape that could not be described; the report says why
 
 
@@ -193,7 +193,7 @@ class Case:
 
 
 def arrays_of(result: Any, depth: int = 0) -> list[np.ndarray]:
-    """All arrays of numbers that are in a result, however deep."""
+    """All arrays of numbers that are in a result, however deep, but those that may be infinite."""
     if isinstance(result, np.ndarray):
         return [result] if result.dtype.kind == "f" else []
     if isinstance(result, float):
@@ -207,7 +207,8 @@ def arrays_of(result: Any, depth: int = 0) -> list[np.ndarray]:
     if isinstance(result, list | tuple):
         return [a for part in result for a in arrays_of(part, depth + 1)]
     if dataclasses.is_dataclass(result):
-        return [a for field in dataclasses.fields(result) for a in arrays_of(getattr(result, field.name), depth + 1)]
+        fields = [field.name for field in dataclasses.fields(result) if field.name not in UNBOUNDED]
+        return [a for name in fields for a in arrays_of(getattr(result, name), depth + 1)]
     return []
 
 
