@@ -18,7 +18,7 @@ from pathlib import Path
 
 import beltrami as bt
 import numpy as np
-from beltrami.spherical import refined
+from beltrami.conformal.spherical import refined
 
 try:
     import lapy

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 from . import costs, examples, molecules, shapes
-from .barycenter import BarycenterResult, wasserstein_barycenter
 from .basis_pursuit import ConformalRegistrationResult, SpectrumMatch, conformal_eigenpairs, match_spectrum, register_conformal
 from .collection import DistanceMatrix, distance_matrix
 from .committor import CommittorResult, committor, reweight, sample_density
 from .conformal import SphericalMapResult, spherical_map
+from .conformal.moebius import Moebius
+from .conformal.spherical import SphericalHarmonics, SurfaceMap
 from .descriptors import hks, shape_dna, wks
 from .eigen import Eigenpairs, eigenpairs
 from .errors import (
@@ -25,10 +26,8 @@ from .errors import (
     TopologyError,
 )
 from .files import load, save
-from .games import MeanFieldGameResult, mean_field_game
 from .geodesic import HeatMethod, geodesic_distance
 from .maps import MapEvaluation, evaluate_map, functional_map_of, point_map_of, transfer
-from .moebius import Moebius
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
 from .operators import Operators, operators
 from .register import RegistrationCandidate, RegistrationResult, register
@@ -38,9 +37,10 @@ from .shapes import PointCloud, TriangleMesh
 from .skeleton import SkeletonResult, skeleton
 from .sliced import RotationInvariantSlicedWassersteinResult, rotation_invariant_sliced_wasserstein, sliced_wasserstein
 from .solvers import Cholesky, PoissonSolver, solve_poisson
-from .spherical import SphericalHarmonics, SurfaceMap
 from .threads import num_threads, set_num_threads
 from .transport import Flow, TransportResult, transport
+from .transport.barycenter import BarycenterResult, wasserstein_barycenter
+from .transport.games import MeanFieldGameResult, mean_field_game
 from .view import Page, Picture, plot
 
 __version__ = "0.1.0"

@@ -8,9 +8,8 @@ import beltrami as bt
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from beltrami import limbs
 from beltrami.__main__ import main
-from beltrami.basis_pursuit import factor_of_map
+from beltrami.basis_pursuit import factor_of_map, limbs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 import scipy.sparse as sparse
 import scipy.sparse.linalg as linalg
-from beltrami import weighted
+from beltrami.committor import weighted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

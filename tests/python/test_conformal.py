@@ -5,8 +5,7 @@ from __future__ import annotations
 import beltrami as bt
 import numpy as np
 import pytest
-from beltrami import spherical
-from beltrami.conformal import _Patch, _Surface
+from beltrami.conformal import _Patch, _Surface, spherical
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

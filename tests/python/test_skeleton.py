@@ -9,7 +9,7 @@ import beltrami as bt
 import numpy as np
 import pytest
 from beltrami.__main__ import main
-from beltrami.complexes import _oriented
+from beltrami.skeleton.complexes import _oriented
 from scipy.spatial import cKDTree
 
 Points = np.ndarray

@@ -11,9 +11,9 @@ import zlib
 import beltrami as bt
 import numpy as np
 import pytest
-from beltrami import _core, colors, lettering
+from beltrami import _core
 from beltrami.progress import Bar, reporter
-from beltrami.view import _MISSING
+from beltrami.view import _MISSING, colors, lettering
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -8,7 +8,7 @@ import numpy as np
 
 import beltrami as bt
 from beltrami.conformal import at_vertices
-from beltrami.spherical import checkerboard, refined
+from beltrami.conformal.spherical import checkerboard, refined
 
 from . import Sheet, section
 

@@ -9,7 +9,7 @@ import numpy as np
 
 import beltrami as bt
 
-from ..film import film
+from ..transport.film import film
 from ..transport import DENSITY_COLOURS
 from ..view import Picture
 from . import Sheet, section

@@ -12,17 +12,18 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from . import arrays, continuity
-from .arrays import Floats
+from .. import arrays
+from ..arrays import Floats
+from ..costs import Lagrangian
+from ..errors import InputError
+from ..files import written
+from ..operators import Operators
+from ..progress import Progress
+from ..segment import _Watch
+from ..shapes import PointCloud, Shape
+from ..view import Page, Picture
+from . import continuity
 from .continuity import MEMORY, Certificate, Problem, Surface
-from .costs import Lagrangian
-from .errors import InputError
-from .files import written
-from .operators import Operators
-from .progress import Progress
-from .segment import _Watch
-from .shapes import PointCloud, Shape
-from .view import Page, Picture
 
 __all__ = ["Flow", "TransportResult", "transport"]
 
@@ -176,7 +177,7 @@ class Flow:
         """
         if isinstance(self.shape, PointCloud) or len(self.corners) != len(self.shape.faces):
             raise InputError("particle paths are there for flows on the triangles of a mesh")
-        from .near import closest_points
+        from ..near import closest_points
 
         mesh, steps = self.shape, arrays.whole(substeps, "substeps", 1)
         given = np.asarray(points)
@@ -222,8 +223,8 @@ class Flow:
         **options
             Those of :func:`beltrami.plot`.
         """
+        from ..view import plot
         from .film import film
-        from .view import plot
 
         chosen = np.linspace(0, 1, arrays.whole(times, "times", 1)) if isinstance(times, int) else arrays.floats(times, "times", (None,))
         if len(chosen) == 0:
@@ -245,7 +246,7 @@ class Flow:
         if suffix in (".png", ".html"):
             self.plot(path=path, **({"times": min(self.intervals + 1, 33)} if suffix == ".html" else {}))
         elif suffix == ".ply":
-            from .segment import _save_shape
+            from ..segment import _save_shape
 
             _save_shape(self.shape, {f"density_{k}": np.ascontiguousarray(row) for k, row in enumerate(self.density)}, path)
         elif suffix == ".npz":

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from .arrays import Floats
-from .clouds import CloudOperators
-from .errors import InputError
-from .near import nearest_neighbors
-from .operators import Operators, operators
-from .shapes import TriangleMesh
+from ..arrays import Floats
+from ..clouds import CloudOperators
+from ..errors import InputError
+from ..near import nearest_neighbors
+from ..operators import Operators, operators
+from ..shapes import TriangleMesh
 
 Longs = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]

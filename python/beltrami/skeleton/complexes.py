@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from .arrays import Floats, Ints
-from .clouds import CloudOperators
-from .near import nearest_neighbors
-from .operators import Operators
-from .sampling import poisson_disc
-from .shapes import PointCloud, TriangleMesh
+from ..arrays import Floats, Ints
+from ..clouds import CloudOperators
+from ..near import nearest_neighbors
+from ..operators import Operators
+from ..sampling import poisson_disc
+from ..shapes import PointCloud, TriangleMesh
 
 Indices = npt.NDArray[np.int64]
 

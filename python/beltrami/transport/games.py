@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from . import arrays, continuity
-from .arrays import Floats
+from .. import arrays
+from ..arrays import Floats
+from ..costs import Cost, Lagrangian
+from ..errors import InputError
+from ..operators import Operators
+from ..progress import Progress
+from ..segment import _Watch
+from ..shapes import Shape
+from . import Flow, Method, balanced, continuity, density_in, flow_fields, options_in
 from .continuity import Problem, Surface
-from .costs import Cost, Lagrangian
-from .errors import InputError
-from .operators import Operators
-from .progress import Progress
-from .segment import _Watch
-from .shapes import Shape
-from .transport import Flow, Method, balanced, density_in, flow_fields, options_in
 
 __all__ = ["MeanFieldGameResult", "mean_field_game"]
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import arrays
-from .arrays import Floats, Ints
-from .errors import InputError
-from .near import closest_points, nearest_neighbors
-from .shapes import TriangleMesh
+from .. import arrays
+from ..arrays import Floats, Ints
+from ..errors import InputError
+from ..near import closest_points, nearest_neighbors
+from ..shapes import TriangleMesh
 
 __all__ = ["SphericalHarmonics", "SurfaceMap"]
 

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import scipy
 
-from . import _core
-from .arrays import Floats
-from .costs import Cost, Lagrangian
-from .errors import InputError
-from .operators import Operators, operators
-from .segment import _hats, _simplices
-from .shapes import Shape, TriangleMesh
-from .solvers import PoissonSolver
+from .. import _core
+from ..arrays import Floats
+from ..costs import Cost, Lagrangian
+from ..errors import InputError
+from ..operators import Operators, operators
+from ..segment import _hats, _simplices
+from ..shapes import Shape, TriangleMesh
+from ..solvers import PoissonSolver
 
 END = 2.0  # times the number of intervals: what a free end weighs in the projection
 RATIO = 0.5  # of the dual to the primal step, in the metric of the density

@@ -19,16 +19,17 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from . import _core, arrays, spherical
-from .arrays import Floats, Ints
-from .errors import Cancelled, InputError, NumericalError, TopologyError
-from .files import save_fields
+from .. import _core, arrays
+from ..arrays import Floats, Ints
+from ..errors import Cancelled, InputError, NumericalError, TopologyError
+from ..files import save_fields
+from ..operators import Operators, operators
+from ..progress import Progress, reporter
+from ..shapes import PointCloud, Shape, TriangleMesh, no_shape
+from ..solvers import Cholesky, plus_diagonal
+from ..view import Page, Picture, plot
+from . import spherical
 from .moebius import Moebius
-from .operators import Operators, operators
-from .progress import Progress, reporter
-from .shapes import PointCloud, Shape, TriangleMesh, no_shape
-from .solvers import Cholesky, plus_diagonal
-from .view import Page, Picture, plot
 
 Faces = npt.NDArray[np.int64]
 
@@ -1182,7 +1183,7 @@ def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult
 
 
 def _map_cloud(cloud: PointCloud, given: Operators | None, task: _Task) -> SphericalMapResult:
-    from .clouds import CloudOperators
+    from ..clouds import CloudOperators
 
     if cloud.dimension != 2:
         raise InputError(f"the cloud has dimension {cloud.dimension}; a surface (dimension 2) is needed")

@@ -13,18 +13,18 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from . import _core, arrays
-from .arrays import Floats, Ints, csr_in
-from .clouds import CloudOperators
+from .. import _core, arrays
+from ..arrays import Floats, Ints, csr_in
+from ..clouds import CloudOperators
+from ..errors import Cancelled, InputError, NumericalError
+from ..files import written
+from ..intrinsic import IntrinsicOperators
+from ..operators import Operators, operators
+from ..progress import Progress, reporter
+from ..shapes import PointCloud, Shape, TriangleMesh
+from ..solvers import Cholesky, plus_diagonal
+from ..view import Page, Picture
 from .contours import cloud_contours
-from .errors import Cancelled, InputError, NumericalError
-from .files import written
-from .intrinsic import IntrinsicOperators
-from .operators import Operators, operators
-from .progress import Progress, reporter
-from .shapes import PointCloud, Shape, TriangleMesh
-from .solvers import Cholesky, plus_diagonal
-from .view import Page, Picture
 
 __all__ = ["DenoisingResult", "SegmentationResult", "contours", "denoise", "segment", "segment_path"]
 
@@ -296,7 +296,7 @@ class SegmentationResult:
 
     def plot(self, image: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the labels (or an image) with the contours over them; the options are those of :func:`beltrami.plot`."""
-        from .view import plot
+        from ..view import plot
 
         drawn = {"lines": self.contours or None, **options}
         return plot(self.shape, self.labels if image is None else image, path=path, **drawn)
@@ -366,7 +366,7 @@ def _fields(result: Any) -> dict[str, Any]:
 
 
 def _save_shape(shape: Shape, data: dict[str, Any], path: Path) -> None:
-    from .files import save
+    from ..files import save
 
     data = {**dict(shape.data), **data}
     if isinstance(shape, PointCloud):
@@ -864,7 +864,7 @@ class DenoisingResult:
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the image; three channels count as colours. The options are those of :func:`beltrami.plot`."""
-        from .view import plot
+        from ..view import plot
 
         values: Any = self.image
         if values.ndim == 2 and values.shape[1] == 3 and values.min() >= -0.01 and values.max() <= 1.01:

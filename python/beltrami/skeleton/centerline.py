@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from .arrays import Floats, Ints
+from ..arrays import Floats, Ints
+from ..near import intersect_rays, nearest_neighbors
+from ..shapes import PointCloud, Shape, TriangleMesh
 from .complexes import Complex, Indices
-from .near import intersect_rays, nearest_neighbors
 from .reeb import Limb, SimplifiedGraph
-from .shapes import PointCloud, Shape, TriangleMesh
 
 DIRECTIONS = 24  # of the rays that center a node
 ROUNDS = 8  # tangents turn as nodes move

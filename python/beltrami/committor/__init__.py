@@ -14,18 +14,19 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from . import arrays, weighted
-from .arrays import Floats
-from .clouds import CloudOperators, LeastSquaresOperators
-from .errors import Cancelled, Error, InputError, NumericalError, TopologyError
-from .files import written
-from .near import nearest_neighbors
-from .operators import Operators, operators
-from .progress import Progress, part, reporter
-from .sampling import poisson_disc
-from .shapes import PointCloud, Shape, TriangleMesh
-from .solvers import Cholesky
-from .view import Page, Picture, plot
+from .. import arrays
+from ..arrays import Floats
+from ..clouds import CloudOperators, LeastSquaresOperators
+from ..errors import Cancelled, Error, InputError, NumericalError, TopologyError
+from ..files import written
+from ..near import nearest_neighbors
+from ..operators import Operators, operators
+from ..progress import Progress, part, reporter
+from ..sampling import poisson_disc
+from ..shapes import PointCloud, Shape, TriangleMesh
+from ..solvers import Cholesky
+from ..view import Page, Picture, plot
+from . import weighted
 from .weighted import Elements, Function, Longs, Mask
 
 __all__ = [

@@ -3,7 +3,7 @@
 In two dimensions a change w² of the metric changes the mass and leaves the stiffness as it is. So a target with any conformal factor has a
 basis Ψ, orthonormal under diag(w² m), that costs one generalized eigenproblem; and a target that is conformal to the source has, with
 the right factor, the source's own basis. The pursuit looks for both. What it cannot do is start from nothing: the start comes from the
-spherical conformal maps (:mod:`beltrami.limbs`), from landmarks, features or :func:`register`.
+spherical conformal maps (:mod:`beltrami.basis_pursuit.limbs`), from landmarks, features or :func:`register`.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from . import arrays, limbs
-from .arrays import Floats
-from .conformal import SphericalMapResult, spherical_map
-from .eigen import Eigenpairs, eigenpairs
-from .errors import Cancelled, ConvergenceError, InputError, NumericalError, TopologyError
-from .files import written
+from .. import arrays
+from ..arrays import Floats
+from ..conformal import SphericalMapResult, spherical_map
+from ..eigen import Eigenpairs, eigenpairs
+from ..errors import Cancelled, ConvergenceError, InputError, NumericalError, TopologyError
+from ..files import written
+from ..operators import Operators, operators
+from ..progress import Progress, reporter
+from ..register import register
+from ..sampling import farthest_points
+from ..shapes import Shape, TriangleMesh
+from ..solvers import Cholesky, plus_diagonal
+from ..view import Page, Picture, plot
+from . import limbs
 from .limbs import Indices, Sphered, Surface, nearest_rows
-from .operators import Operators, operators
-from .progress import Progress, reporter
-from .register import register
-from .sampling import farthest_points
-from .shapes import Shape, TriangleMesh
-from .solvers import Cholesky, plus_diagonal
-from .view import Page, Picture, plot
 
 __all__ = ["ConformalRegistrationResult", "SpectrumMatch", "conformal_eigenpairs", "match_spectrum", "register_conformal"]
 

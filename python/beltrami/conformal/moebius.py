@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from . import arrays
-from .arrays import Floats
-from .errors import InputError, NumericalError
+from .. import arrays
+from ..arrays import Floats
+from ..errors import InputError, NumericalError
 
 Complex = npt.NDArray[np.complex128]
 
@@ -151,7 +151,7 @@ class Moebius:
         InputError
             One point has half of all weight or more, so there is no such map.
         """
-        from .conformal import centring_steps
+        from . import centring_steps
 
         p = arrays.unit_vectors(points, "points")
         w = np.ones(len(p)) if weights is None else arrays.floats(weights, "weights", (len(p),))

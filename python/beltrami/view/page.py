@@ -14,7 +14,7 @@ import numpy.typing as npt
 from .colors import Colours
 
 if TYPE_CHECKING:
-    from .view import Field
+    from . import Field
 
 
 def _base64(array: npt.NDArray[Any], kind: str) -> str:
@@ -85,7 +85,7 @@ def build(
         "radius": radius / extent,
         **more,
     }
-    text = resources.files("beltrami").joinpath("viewer.html").read_text(encoding="utf-8")
+    text = resources.files(__package__).joinpath("viewer.html").read_text(encoding="utf-8")
     inside = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     words = {"__TITLE__": html.escape(title or "Shape"), "__DESCRIPTION__": html.escape(description)}
     for mark, replacement in words.items():

@@ -16,13 +16,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from .arrays import Floats
-from .conformal import SphericalMapResult
-from .errors import InputError
-from .moebius import Moebius
-from .near import nearest_neighbors
-from .operators import Operators
-from .sampling import farthest_points
+from ..arrays import Floats
+from ..conformal import SphericalMapResult
+from ..conformal.moebius import Moebius
+from ..errors import InputError
+from ..near import nearest_neighbors
+from ..operators import Operators
+from ..sampling import farthest_points
 
 Indices = npt.NDArray[np.int64]
 Complex = npt.NDArray[np.complex128]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from . import arrays
-from .arrays import Floats
-from .clouds import CloudOperators
-from .errors import InputError
-from .near import nearest_neighbors
-from .operators import operators
-from .shapes import PointCloud
+from .. import arrays
+from ..arrays import Floats
+from ..clouds import CloudOperators
+from ..errors import InputError
+from ..near import nearest_neighbors
+from ..operators import operators
+from ..shapes import PointCloud
 
 Edge = tuple[int, int]
 

@@ -11,18 +11,18 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from . import _core, arrays
-from .arrays import Floats, Ints
+from .. import _core, arrays
+from ..arrays import Floats, Ints
+from ..eigen import eigenpairs
+from ..errors import FileError, InputError, TopologyError
+from ..near import nearest_neighbors
+from ..operators import Operators, operators
+from ..progress import Progress, part, reporter
+from ..shapes import PointCloud, Shape, TriangleMesh, no_shape
+from ..view import Page, Picture
 from .centerline import Drawing, center, descended, draw, section_of
 from .complexes import Complex, Indices, cloud_complex, mesh_complex, unique_edges
-from .eigen import eigenpairs
-from .errors import FileError, InputError, TopologyError
-from .near import nearest_neighbors
-from .operators import Operators, operators
-from .progress import Progress, part, reporter
 from .reeb import ReebGraph, SimplifiedGraph, reeb_graph
-from .shapes import PointCloud, Shape, TriangleMesh, no_shape
-from .view import Page, Picture
 
 __all__ = ["SkeletonResult", "skeleton"]
 
@@ -147,7 +147,7 @@ class SkeletonResult:
         try:
             import networkx
         except ImportError:
-            from .errors import DependencyError
+            from ..errors import DependencyError
 
             raise DependencyError("to_networkx needs the package networkx: pip install networkx") from None
         graph = networkx.Graph()
@@ -171,7 +171,7 @@ class SkeletonResult:
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the skeleton inside the transparent shape; the options are those of :func:`beltrami.plot`."""
-        from .view import plot
+        from ..view import plot
 
         return plot(self.shape, path=path, **{**self.drawn(), **options})
 
@@ -443,7 +443,7 @@ def _values(given: Shape, function: Any, source: int | None, count: int, report:
         if function not in ("eigenfunction", "geodesic"):
             raise InputError(f"function is {function!r}; choose 'eigenfunction', 'geodesic' or give an array")
         if function == "geodesic":
-            from .geodesic import geodesic_distance
+            from ..geodesic import geodesic_distance
 
             if source is None:
                 ops = operators(given)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import _core
-from .arrays import Floats, Ints
+from .. import _core
+from ..arrays import Floats, Ints
 from .complexes import Complex, Indices, sides, unique_edges
 
 LEVELS = 150  # at most, beside those between critical vertices

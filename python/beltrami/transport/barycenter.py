@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import arrays
-from .arrays import Floats
+from .. import arrays
+from ..arrays import Floats
+from ..costs import Lagrangian
+from ..errors import InputError
+from ..files import written
+from ..operators import Operators
+from ..progress import Progress
+from ..segment import _Watch
+from ..shapes import Shape
+from ..view import Page, Picture
+from . import DENSITY_COLOURS, balanced, density_in, options_in
 from .continuity import COARSE, Model, Problem, Scales, Splitting, Surface, coarser, looks, travel
-from .costs import Lagrangian
-from .errors import InputError
-from .files import written
-from .operators import Operators
-from .progress import Progress
-from .segment import _Watch
-from .shapes import Shape
-from .transport import DENSITY_COLOURS, balanced, density_in, options_in
-from .view import Page, Picture
 
 __all__ = ["BarycenterResult", "wasserstein_barycenter"]
 
@@ -70,7 +70,7 @@ class BarycenterResult:
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the densities and, last, their barycenter; the options are those of :func:`beltrami.plot`."""
-        from .view import plot
+        from ..view import plot
 
         fields = {f"density {k}, weight {w:.3g}": p[0] for k, (w, p) in enumerate(zip(self.weights, self.paths, strict=True))}
         return plot(self.shape, {**fields, "barycenter": self.density}, path=path, **{"colormap": DENSITY_COLOURS, **options})

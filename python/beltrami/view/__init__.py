@@ -1,7 +1,7 @@
 """Pictures of shapes without a display, and interactive pages in one file.
 
 Everything is painted by the compiled core (perspective, depth, soft light, a colour computed for each pixel) and lettered by
-:mod:`beltrami.lettering`: no window system, no OpenGL and no plotting package is needed."""
+:mod:`beltrami.view.lettering`: no window system, no OpenGL and no plotting package is needed."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, arrays, colors, lettering
-from .errors import FileError, InputError
-from .progress import Progress, part, reporter
+from .. import _core, arrays
+from ..errors import FileError, InputError
+from ..progress import Progress, part, reporter
+from . import colors, lettering
 
 __all__ = ["Page", "Picture", "plot"]
 
@@ -566,7 +567,7 @@ def plot(
     title, label : str, optional
         Headline; what the colour bar measures, with its unit.
     colormap : str or list of colours, optional
-        A name of :func:`beltrami.colors.table`; by default 'viridis', or 'balance' around zero for numbers of both signs.
+        A name of :func:`beltrami.view.colors.table`; by default 'viridis', or 'balance' around zero for numbers of both signs.
     limits : (low, high), optional
         Numbers at the ends of the colour bar.
     contours : bool, int or array_like, optional
