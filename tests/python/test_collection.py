@@ -169,6 +169,39 @@ def test_dask_gives_the_same_bits(shapes, matrix):
         assert (np.asarray(bt.distance_matrix(shapes[2:5], executor=client)) == np.asarray(matrix)[2:5, 2:5]).all()
 
 
+def lump(index):
+    """One of many closed surfaces of 300 to 900 vertices, no two alike."""
+    rng = np.random.default_rng(index)
+    sphere = bt.shapes.sphere(frequency=int(rng.integers(6, 10)))
+    x, y, z = sphere.vertices.T
+    swell = np.stack([x * y, z * x, np.sin(2 * y), x**3, np.cos(3 * z), x * y * z]).T @ (0.25 * rng.normal(size=6))
+    return bt.TriangleMesh(sphere.vertices * np.exp(swell)[:, None] * [1.0, 0.8, 0.6], sphere.faces)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="kills a process")
+@pytest.mark.parametrize(("method", "count", "when"), [("shape_dna", 200, 0.2), ("shape_dna", 200, 0.8), ("rswd", 10, 0.6)])
+def test_a_cluster_that_loses_a_worker_gives_the_same_bits(method, count, when):
+    """19,900 pairs of 200 shapes; killed among the eigenproblems, or among the tiles of pairs."""
+    distributed = pytest.importorskip("distributed")
+    lumps = [lump(index) for index in range(count)]
+    killed = []
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+
+        def kill_one(share):
+            if share >= when and not killed:
+                killed.append(next(iter(client.run(os.getpid).values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        found = bt.distance_matrix(lumps, method=method, executor=client, progress=kill_one)
+        assert killed[0] not in client.run(os.getpid).values()  # it is gone, another may have come in its place
+    assert not found.failures
+    assert np.asarray(found).tobytes() == np.asarray(bt.distance_matrix(lumps, method=method)).tobytes()
+
+
 OVER_MPI = """
 import sys
 import numpy as np
