@@ -38,6 +38,8 @@ const DEGENERATE: f64 = 4.0 * f64::EPSILON;
 const ROUNDING: f64 = 1e-10;
 /// Squared edges beyond these bounds over- or underflow in the squared area.
 const SCALE: std::ops::Range<f64> = 1e-140..1e150;
+/// Corners are numbered with 32 bits.
+const MOST_FACES: usize = u32::MAX as usize / 3;
 
 struct Measured {
     element: Element,
@@ -78,41 +80,33 @@ fn refusal(mesh: &TriangleMesh, face: usize) -> Error {
     ))
 }
 
-struct Elements {
-    all: Box<[Element]>,
-    /// Sum of the lengths of the edges of all triangles.
-    edge_lengths: f64,
-}
-
-fn elements(mesh: &TriangleMesh) -> Result<Elements> {
+fn elements(mesh: &TriangleMesh) -> Result<Box<[Element]>> {
     let count = mesh.faces().len();
     if count == 0 {
         return Err(Error::input(format!("the mesh has no triangles ({} vertices); operators need at least one", mesh.vertex_count())));
     }
-    if count > u32::MAX as usize / 3 {
-        return Err(Error::input(format!("{count} triangles; operators take up to {}", u32::MAX / 3)));
+    if count > MOST_FACES {
+        return Err(Error::input(format!("{count} triangles; operators take up to {MOST_FACES}")));
     }
     let mut all: Box<[Element]> = bytemuck::allocation::zeroed_slice_box(count);
-    let lengths: Option<Vec<f64>> = all
+    let good = all
         .par_chunks_mut(CHUNK)
         .enumerate()
         .map(|(chunk, elements)| {
-            let mut sum = 0.0;
             let mut good = true;
             for (face, element) in (chunk * CHUNK..).zip(elements) {
                 let found = mesh.at_corners(face, measured);
                 good &= found.usable();
                 *element = found.element;
-                sum += found.squared_lengths.map(f64::sqrt).iter().sum::<f64>();
             }
-            good.then_some(sum)
+            good
         })
-        .collect();
-    let Some(lengths) = lengths else {
+        .reduce(|| true, |a, b| a & b);
+    if !good {
         let face = (0..count).find(|&face| !mesh.at_corners(face, measured).usable()).unwrap_or_default();
         return Err(refusal(mesh, face));
-    };
-    Ok(Elements { all, edge_lengths: lengths.iter().sum() })
+    }
+    Ok(all)
 }
 
 /// A symmetric matrix from what each corner adds to its row: `entries(corner, put)` puts (column, value) pairs.
@@ -180,50 +174,32 @@ fn mean_edge_length(mesh: &TriangleMesh, stiffness: &Csr) -> f64 {
 /// # Errors
 /// [`Error::Input`] if there is no triangle, one is degenerate, or its size is out of the range of double precision.
 pub fn cotangent_operators(mesh: &TriangleMesh) -> Result<MeshOperators> {
-    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
-    if let Some(found) = of_fans(mesh, &elements, &corners) {
-        return Ok(found);
+    if mesh.faces().len() <= MOST_FACES {
+        let corners = Corners::new(mesh.vertex_count(), mesh.faces());
+        if let Some(found) = of_fans(mesh, &corners) {
+            return Ok(found);
+        }
     }
+    // some triangle has no element, or the mesh is no surface: one after the other
+    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
     let stiffness = assemble(&corners, true, |corner, row| {
-        row.extend(Beside::new(corner, mesh.faces(), &elements.all).entries());
+        let (face, at) = (corner as usize / 3, corner as usize % 3);
+        let (next, last) = NEIGHBORS[at];
+        let (face, Element { half_cotangents, .. }) = (mesh.faces()[face], elements[face]);
+        row.extend([(face[next], -half_cotangents[last]), (face[last], -half_cotangents[next])]);
     });
-    let mass = lumped(&corners, |corner| elements.all[corner as usize / 3].area / 3.0);
+    let mass = lumped(&corners, |corner| elements[corner as usize / 3].area / 3.0);
     let spacing = mean_edge_length(mesh, &stiffness);
     Ok(MeshOperators { stiffness, mass, spacing })
 }
 
-/// What a corner adds to the row of its vertex.
-struct Beside {
-    next: u32,
-    next_value: f64,
-    last: u32,
-    last_value: f64,
-    area: f64,
-}
-
-impl Beside {
-    #[inline(always)]
-    fn new(corner: u32, faces: &[[u32; 3]], elements: &[Element]) -> Self {
-        let (face, at) = (corner as usize / 3, corner as usize % 3);
-        let (next, last) = if at == 0 { (1, 2) } else { (if at == 1 { 2 } else { 0 }, at - 1) };
-        let (face, element) = (&faces[face], &elements[face]);
-        Beside {
-            next: face[next],
-            next_value: -element.half_cotangents[last],
-            last: face[last],
-            last_value: -element.half_cotangents[next],
-            area: element.area,
-        }
-    }
-
-    fn entries(&self) -> [(u32, f64); 2] {
-        [(self.next, self.next_value), (self.last, self.last_value)]
-    }
-}
+/// The corners after and before each corner of a triangle.
+const NEIGHBORS: [(usize, usize); 3] = [(1, 2), (2, 0), (0, 1)];
 
 /// The operators of a mesh whose vertices are each surrounded once by their faces, or from boundary to boundary: as the
-/// lengths of the rows are known before, they are written at once to where they stay. None if a vertex is not like that.
-fn of_fans(mesh: &TriangleMesh, elements: &Elements, corners: &Corners) -> Option<MeshOperators> {
+/// lengths of the rows are known before, they are written at once to where they stay, each from the positions around its vertex.
+/// None if a vertex is not like that, or a triangle has no element.
+fn of_fans(mesh: &TriangleMesh, corners: &Corners) -> Option<MeshOperators> {
     let count = corners.vertex_count();
     let mut starts = Vec::with_capacity(count + 1);
     let mut sum = 0;
@@ -242,20 +218,17 @@ fn of_fans(mesh: &TriangleMesh, elements: &Elements, corners: &Corners) -> Optio
         let (indices, after_indices) = std::mem::take(&mut left_indices).split_at_mut(size);
         let (values, after_values) = std::mem::take(&mut left_values).split_at_mut(size);
         (left_indices, left_values) = (after_indices, after_values);
-        tasks.push(Fans { mesh, elements, corners, starts: &starts, first, indices, values, mass });
+        tasks.push(Fans { mesh, corners, starts: &starts, first, indices, values, mass });
     }
-    let boundary: Vec<f64> = tasks.into_par_iter().with_max_len(1).map(|fans| Arch::new().dispatch(fans)).collect::<Option<_>>()?;
-    // all edges twice
-    let length = elements.edge_lengths + boundary.iter().sum::<f64>();
+    let edges: Vec<f64> = tasks.into_par_iter().with_max_len(1).map(|fans| Arch::new().dispatch(fans)).collect::<Option<_>>()?;
     let ends = sum - (0..count).filter(|&vertex| starts[vertex + 1] > starts[vertex]).count();
     let stiffness = Csr::trusted(count, count, starts, indices, values);
-    Some(MeshOperators { stiffness, mass, spacing: length / ends as f64 })
+    (ends > 0).then(|| MeshOperators { stiffness, mass, spacing: edges.iter().sum::<f64>() / ends as f64 })
 }
 
 /// Some rows in a run.
 struct Fans<'a> {
     mesh: &'a TriangleMesh<'a>,
-    elements: &'a Elements,
     corners: &'a Corners,
     starts: &'a [usize],
     first: usize,
@@ -265,12 +238,25 @@ struct Fans<'a> {
 }
 
 impl WithSimd for Fans<'_> {
-    /// The lengths of the edges with one face, counted from their lesser vertex; none if a row is no fan.
+    /// Lengths of edges, so that over all rows each edge counts twice; none if a row is no fan or a triangle has no element.
     type Output = Option<f64>;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Option<f64> {
-        let mut boundary = 0.0;
+        match self.mesh.dimension() {
+            2 => self.rows::<2>(),
+            3 => self.rows::<3>(),
+            _ => self.rows::<0>(),
+        }
+    }
+}
+
+impl Fans<'_> {
+    /// Fills the rows; D the dimension of space, 0 for those that have no fast way.
+    #[inline(always)]
+    fn rows<const D: usize>(self) -> Option<f64> {
+        let (points, _) = if D > 0 { self.mesh.vertices().as_chunks::<D>() } else { (&[] as &[[f64; D]], &[] as &[f64]) };
+        let mut edges = 0.0;
         let mut work = Vec::new();
         let before = self.starts[self.first];
         for (vertex, mass) in (self.first..).zip(self.mass) {
@@ -280,22 +266,22 @@ impl WithSimd for Fans<'_> {
                 vertex: vertex as u32,
                 around,
                 faces: self.mesh.faces(),
-                elements: &self.elements.all,
                 indices: &mut self.indices[range.clone()],
                 values: &mut self.values[range],
                 mass,
             };
-            let done = match around.len() {
-                0 => true,
-                1..=8 => row.closed::<8>(),
-                9..=16 => row.closed::<16>(),
-                _ => false,
+            let closed = match around.len() {
+                0 => Some(0.0),
+                1..=8 if D > 0 => row.closed::<8, D>(points),
+                9..=16 if D > 0 => row.closed::<16, D>(points),
+                _ => None,
             };
-            if !done {
-                boundary += row.open(self.mesh, &mut work)?;
-            }
+            edges += match closed {
+                Some(lengths) => lengths,
+                None => row.open(self.mesh, &mut work)?,
+            };
         }
-        Some(boundary)
+        Some(edges)
     }
 }
 
@@ -304,7 +290,6 @@ struct Row<'a> {
     vertex: u32,
     around: &'a [u32],
     faces: &'a [[u32; 3]],
-    elements: &'a [Element],
     indices: &'a mut [u32],
     values: &'a mut [f64],
     mass: &'a mut f64,
@@ -312,51 +297,97 @@ struct Row<'a> {
 
 impl Row<'_> {
     /// Up to N faces of one orientation that close around the vertex: each neighbour is the next of one corner and the last of another.
-    /// False if it is not so. Without branches that depend on the mesh.
+    /// The lengths of the edges to its neighbours; none if it is not so. N triangles are measured side by side, with the very
+    /// operations of [`measured`], so that both rows of an edge get the same sum; and without branches that depend on the mesh.
     #[inline(always)]
-    fn closed<const N: usize>(&mut self) -> bool {
+    fn closed<const N: usize, const D: usize>(&mut self, points: &[[f64; D]]) -> Option<f64> {
         let size = self.around.len();
-        let (mut columns, mut lasts, mut values, mut last_values) = ([u32::MAX; N], [0; N], [0.0; N], [0.0; N]);
-        let mut mass = 0.0;
-        for (k, &corner) in self.around.iter().enumerate().take(N) {
-            let beside = Beside::new(corner, self.faces, self.elements);
-            (columns[k], values[k]) = (beside.next, beside.next_value);
-            (lasts[k], last_values[k]) = (beside.last, beside.last_value);
-            mass += beside.area / 3.0;
+        if size + 1 != self.indices.len() {
+            return None;
         }
-        let mut seen = 0u32;
-        for (last, value) in lasts.iter().zip(&last_values).take(size) {
-            let same = (0..N).fold(0, |same, l| same | u32::from(columns[l] == *last) << l);
-            let at = same.trailing_zeros() as usize % N;
-            values[at] += value;
-            seen |= same & 1 << at;
+        // corner, axis, triangle; lanes without a triangle hold half a unit square
+        let mut x = [[[0.0; N]; D]; 3];
+        (x[1][0], x[2][1]) = ([1.0; N], [1.0; N]);
+        let (mut nexts, mut lasts, mut ats) = ([u32::MAX; N], [u32::MAX; N], [0u64; N]);
+        for (lane, &corner) in self.around.iter().enumerate().take(N) {
+            let (face, at) = (self.faces[corner as usize / 3], corner as usize % 3);
+            for (x, &id) in x.iter_mut().zip(&face) {
+                let point = &points[id as usize];
+                for (x, &coordinate) in x.iter_mut().zip(point) {
+                    x[lane] = coordinate;
+                }
+            }
+            let (next, last) = NEIGHBORS[at];
+            (nexts[lane], lasts[lane], ats[lane]) = (face[next], face[last], at as u64);
         }
-        if seen != (1 << size) - 1 || size + 1 != self.indices.len() {
-            return false;
+        let (mut next_values, mut last_values, mut areas, mut lengths) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
+        let mut bad = [false; N];
+        for lane in 0..N {
+            let point: [[f64; D]; 3] = std::array::from_fn(|corner| std::array::from_fn(|axis| x[corner][axis][lane]));
+            let [a, b, c] = &point;
+            let dot = |p: &[f64; D], q: &[f64; D], r: &[f64; D]| (0..D).map(|i| (q[i] - p[i]) * (r[i] - p[i])).sum::<f64>();
+            let dots = [dot(a, b, c), dot(b, c, a), dot(c, a, b)];
+            let squared = mesh::squared_edge_lengths([a, b, c]);
+            let square = mesh::squared_double_area([a, b, c]);
+            let area = 0.5 * square.sqrt();
+            let longest = squared[0].max(squared[1]).max(squared[2]);
+            let usable = mesh::PLAIN.contains(&square) & SCALE.contains(&longest) & (2.0 * area > DEGENERATE * longest);
+            let pick = |of: &[f64; 3], corners: [usize; 3]| match ats[lane] {
+                0 => of[corners[0]],
+                1 => of[corners[1]],
+                _ => of[corners[2]],
+            };
+            bad[lane] = !usable;
+            areas[lane] = area / 3.0;
+            next_values[lane] = -(pick(&dots, [2, 0, 1]) / (4.0 * area));
+            last_values[lane] = -(pick(&dots, [1, 2, 0]) / (4.0 * area));
+            lengths[lane] = pick(&squared, [2, 0, 1]).sqrt();
         }
-        let before = |column: u32| columns.iter().map(|&other| usize::from(other < column)).sum::<usize>();
-        for (&column, &value) in columns.iter().zip(&values).take(size) {
-            let at = before(column) + usize::from(self.vertex < column);
-            self.indices[at] = column;
-            self.values[at] = value;
+        // each neighbour's other triangle, and its place in the row
+        let (mut partners, mut places) = ([0u32; N], [0u32; N]);
+        for k in 0..N {
+            places[k] = u32::from(self.vertex < nexts[k]);
         }
-        let at = before(self.vertex);
-        self.indices[at] = self.vertex;
-        self.values[at] = 0.0;
-        self.values[at] = -self.values.iter().sum::<f64>();
-        *self.mass = mass;
-        true
+        for other in 0..size.min(N) {
+            for k in 0..N {
+                let same = nexts[k] == lasts[other];
+                partners[k] += u32::from(same);
+                next_values[k] += if same { last_values[other] } else { 0.0 };
+                places[k] += u32::from(nexts[other] < nexts[k]);
+            }
+        }
+        if bad.contains(&true) || partners[..size] != [1; N][..size] {
+            return None;
+        }
+        for k in 0..size.min(N) {
+            let at = places[k] as usize;
+            *self.indices.get_mut(at)? = nexts[k];
+            *self.values.get_mut(at)? = next_values[k];
+        }
+        let own = nexts[..size].iter().map(|&next| usize::from(next < self.vertex)).sum::<usize>();
+        self.indices[own] = self.vertex;
+        self.values[own] = 0.0;
+        self.values[own] = -self.values.iter().sum::<f64>();
+        *self.mass = areas[..size].iter().sum();
+        Some(lengths[..size].iter().sum())
     }
 
-    /// Any faces around the vertex with one or two at each edge; the lengths of the edges of one face to greater neighbours. None if it is not so.
+    /// Any faces around the vertex with one or two at each edge; the lengths of the edges as their rows share them. None if it is
+    /// not so, or a triangle has no element.
     fn open(&mut self, mesh: &TriangleMesh, work: &mut Vec<(u32, f64)>) -> Option<f64> {
         work.clear();
         work.push((self.vertex, 0.0));
         *self.mass = 0.0;
         for &corner in self.around {
-            let beside = Beside::new(corner, self.faces, self.elements);
-            work.extend(beside.entries());
-            *self.mass += beside.area / 3.0;
+            let (number, at) = (corner as usize / 3, corner as usize % 3);
+            let (next, last) = NEIGHBORS[at];
+            let (face, found) = (self.faces[number], mesh.at_corners(number, measured));
+            if !found.usable() {
+                return None;
+            }
+            let Element { half_cotangents, area } = found.element;
+            work.extend([(face[next], -half_cotangents[last]), (face[last], -half_cotangents[next])]);
+            *self.mass += area / 3.0;
         }
         work.sort_by_key(|&(column, _)| column);
         let (mut length, mut slot, mut own) = (0.0, 0, 0);
@@ -366,11 +397,10 @@ impl Row<'_> {
             self.values[slot] = same[1..].iter().fold(same[0].1, |sum, entry| sum + entry.1);
             match same.len() {
                 1 if column == self.vertex => own = slot,
-                1 if column > self.vertex => {
+                1 | 2 => {
                     let (p, q) = (mesh.vertex(self.vertex), mesh.vertex(column));
                     length += p.iter().zip(q).map(|(x, y)| (x - y) * (x - y)).sum::<f64>().sqrt();
                 }
-                1 | 2 => {}
                 _ => return None,
             }
             slot += 1;
@@ -403,7 +433,7 @@ pub fn has_positive_weights(stiffness: &Csr) -> bool {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
-    let (elements, corners) = (elements(mesh)?.all, Corners::new(mesh.vertex_count(), mesh.faces()));
+    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
     Ok(lumped(&corners, |corner| {
         let (face, at) = (corner as usize / 3, corner as usize % 3);
         let Element { half_cotangents: cotangents, area } = elements[face];
@@ -424,7 +454,7 @@ pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn galerkin_mass(mesh: &TriangleMesh) -> Result<Csr> {
-    let (elements, corners) = (elements(mesh)?.all, Corners::new(mesh.vertex_count(), mesh.faces()));
+    let (elements, corners) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()));
     Ok(assemble(&corners, false, |corner, row| {
         let (face, at) = (corner as usize / 3, corner as usize % 3);
         for other in 0..3 {
@@ -446,7 +476,7 @@ fn hat_gradient(mesh: &TriangleMesh, element: &Element, face: usize, corner: usi
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn gradient(mesh: &TriangleMesh) -> Result<Csr> {
-    let (elements, dimension) = (elements(mesh)?.all, mesh.dimension());
+    let (elements, dimension) = (elements(mesh)?, mesh.dimension());
     let rows = elements.len() * dimension;
     let (mut indices, mut values) = (vec![0; 3 * rows], vec![0.0; 3 * rows]);
     let width = 3 * dimension;
@@ -473,7 +503,7 @@ pub fn gradient(mesh: &TriangleMesh) -> Result<Csr> {
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn divergence(mesh: &TriangleMesh, mass: &[f64]) -> Result<Csr> {
-    let (elements, corners, dimension) = (elements(mesh)?.all, Corners::new(mesh.vertex_count(), mesh.faces()), mesh.dimension());
+    let (elements, corners, dimension) = (elements(mesh)?, Corners::new(mesh.vertex_count(), mesh.faces()), mesh.dimension());
     let count = mesh.vertex_count();
     if mass.len() != count {
         return Err(Error::input(format!("{} masses for a mesh of {count} vertices", mass.len())));

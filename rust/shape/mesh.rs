@@ -145,8 +145,17 @@ pub(crate) fn squared_edge_lengths([a, b, c]: [&[f64]; 3]) -> [f64; 3] {
 /// Area of a triangle, by Lagrange's identity in any D.
 #[inline(always)]
 pub(crate) fn area(corners: [&[f64]; 3]) -> f64 {
-    let sum = twice_squared(corners, 1.0);
-    if (1e-200..1e200).contains(&sum) { 0.5 * sum.sqrt() } else { extreme_area(corners) }
+    let sum = squared_double_area(corners);
+    if PLAIN.contains(&sum) { 0.5 * sum.sqrt() } else { extreme_area(corners) }
+}
+
+/// Where fourth powers of the edges neither over- nor underflow.
+pub(crate) const PLAIN: std::ops::Range<f64> = 1e-200..1e200;
+
+/// The square of twice the area, if it is [`PLAIN`].
+#[inline(always)]
+pub(crate) fn squared_double_area(corners: [&[f64]; 3]) -> f64 {
+    twice_squared(corners, 1.0)
 }
 
 /// The square of twice the area, all lengths times `scale`.
