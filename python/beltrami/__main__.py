@@ -97,16 +97,28 @@ def positions(shape: Any) -> npt.NDArray[np.float64]:
     return points
 
 
-def write(options: Options, shape: Any, values: Mapping[str, npt.NDArray[Any]], shown: Mapping[str, npt.NDArray[Any]], **look: Any) -> None:
-    """Writes an answer to each file of ``-o``: all ``values`` to .npz; those of the vertices to .csv and .ply; ``shown`` to pictures."""
+def write(
+    options: Options,
+    shape: Any,
+    values: Mapping[str, npt.NDArray[Any]],
+    shown: Mapping[str, npt.NDArray[Any]],
+    *,
+    result: Any = None,
+    **look: Any,
+) -> None:
+    """Writes an answer to each file of ``-o``: the ``result``, as its ``save`` does, or all ``values`` to .npz; those of the vertices to
+    .csv and .ply; ``shown`` to pictures."""
     count = len(positions(shape))
     for name in options.out or []:
         path = Path(name)
         suffix = path.suffix.lower()
         if suffix == ".npz":
-            _to_file(path, lambda stream: np.savez_compressed(stream, **values))  # type: ignore[arg-type]
+            if result is not None:
+                result.save(path)
+            else:
+                written(path, lambda stream: np.savez_compressed(stream, **values))  # type: ignore[arg-type]
         elif suffix == ".csv":
-            _to_file(path, lambda stream: stream.write(_csv(values, count).encode()))
+            written(path, lambda stream: stream.write(_csv(values, count).encode()))
         elif suffix == ".ply":
             flat = dict(_columns(values, count))
             data = {**dict(shape.data), **flat}
@@ -126,19 +138,6 @@ def check_outputs(options: Options) -> None:
     for name in options.out or []:
         if Path(name).suffix.lower() not in (".npz", ".csv", ".ply", ".png", ".html"):
             raise InputError(f"{name}: the answer can be written to .npz, .csv, .ply, .png or .html")
-
-
-def _to_file(path: Path, fill: Callable[[Any], object]) -> None:
-    _folder(path)
-    written(path, fill)
-
-
-def _folder(path: Path) -> None:
-    """Makes the folder that a file is to lie in."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
 def _columns(values: Mapping[str, npt.NDArray[Any]], count: int) -> list[tuple[str, npt.NDArray[Any]]]:
@@ -237,7 +236,6 @@ def convert(options: Options) -> int:
     shape = shape_of(options)
     if options.weld:
         shape = bt.load(shape, weld=True)
-    _folder(Path(out))
     bt.save(shape, out, ascii=options.ascii, progress=Bar("writing"))
     print(f"{shape}\nwrote {out}")
     return DONE
@@ -280,10 +278,9 @@ def eigen(options: Options) -> int:
     shape, look = _distinct(options), _looks(options)
     pairs = bt.eigenpairs(_operators(shape), arrays.whole(options.k, "-k", 1), progress=Bar("eigenpairs"))
     table(list(zip(range(len(pairs.values)), pairs.values, pairs.residuals, strict=True)), ("", "eigenvalue", "residual"))
-    values = {"values": pairs.values, "functions": pairs.functions, "residuals": pairs.residuals}
     first = 1 if len(pairs.values) > 1 else 0
     shown = {f"mode {at}, λ = {pairs.values[at] + 0.0:.4g}": pairs.functions[:, at] for at in range(first, min(len(pairs.values), 13))}
-    write(options, shape, values, shown, contours=[0.0], **look)
+    write(options, shape, {"functions": pairs.functions}, shown, result=pairs, contours=[0.0], **look)
     return DONE
 
 
@@ -371,14 +368,7 @@ def segment(options: Options) -> int:
     rows += [("proved lower bound", r.dual), ("relative gap", r.gap), ("excess of the labels", r.excess), ("iterations", r.iterations)]
     print()
     table([*rows, ("converged", r.converged)])
-    values: dict[str, npt.NDArray[Any]] = {
-        "label": r.labels,
-        "phi": r.phi,
-        "means": r.means,
-        "areas": r.areas,
-        "certificate": np.array([r.primal, r.dual, r.gap]),
-    }
-    write(options, shape, values, {"region": r.labels}, lines=r.contours or None, **look)
+    write(options, shape, {"label": r.labels, "phi": r.phi}, {"region": r.labels}, result=r, lines=r.contours or None, **look)
     return DONE if r.converged else _unfinished(r)
 
 
@@ -401,7 +391,7 @@ def denoise(options: Options) -> int:
     table([*rows, ("iterations", u.iterations), ("converged", u.converged)])
     shown = np.clip(u.image, 0, 1) if u.image.ndim == 2 and u.image.shape[1] == 3 else u.image
     pictures = {"denoised": shown} if shown.ndim == 1 or shown.shape[1] == 3 else {f"channel {k}": c for k, c in enumerate(shown.T)}
-    write(options, shape, {"image": u.image, "certificate": np.array([u.primal, u.dual, u.gap])}, pictures, **look)
+    write(options, shape, {"image": u.image}, pictures, result=u, **look)
     return DONE if u.converged else _unfinished(u)
 
 
@@ -440,14 +430,9 @@ def sphere(options: Options) -> int:
     )
     for note in found.notes:
         print(f"note: {note}")
-    values: dict[str, npt.NDArray[Any]] = {
-        "positions": found.positions,
-        "conformal_factor": found.conformal_factor,
-        "faces": found.faces,
-        "angle_error": found.angle_error,
-    }
+    values = {"positions": found.positions, "conformal_factor": found.conformal_factor}
     rest = argparse.Namespace(out=[name for name in options.out or [] if Path(name).suffix.lower() not in (".png", ".html")])
-    write(rest, shape, values, {})
+    write(rest, shape, values, {}, result=found)
     for name in options.out or []:
         if name not in rest.out:
             print(f"wrote {found.plot(options.show, on=options.on, path=name, **look).path}")
@@ -504,7 +489,6 @@ def register(options: Options) -> int:
         elif Path(name).suffix.lower() in (".png", ".html"):
             print(f"wrote {found.plot(path=name, **look).path}")
         else:
-            _folder(Path(name))
             print(f"wrote {found.save(name)}")
     return DONE
 
@@ -545,7 +529,6 @@ def distances(options: Options) -> int:
     for index, wrong in found.failures.items():
         print(f"failed: {found.labels[index]}: {wrong}")
     for name in options.out or []:
-        _folder(Path(name))
         if name.lower().endswith(".png"):
             found.plot(options.picture, path=name)
         else:
@@ -598,10 +581,7 @@ def register_conformal(options: Options) -> int:
     for note in found.notes:
         print(f"note: {note}")
     on_target = {"log_factor": found.log_factor, "inverse_map": found.inverse_map, "basis": found.basis}
-    more = {"point_map": found.point_map, "confidence": found.confidence, "source_basis": found.source_basis, "landmarks": found.landmarks}
-    for name in options.out or []:  # tables and shapes hold what belongs to the target's vertices
-        values = {**on_target, **more} if Path(name).suffix.lower() == ".npz" else on_target
-        write(argparse.Namespace(out=[name]), target, values, {"log w²": found.log_factor}, **look)
+    write(options, target, on_target, {"log w²": found.log_factor}, result=found, **look)
     return DONE if found.converged else NOT_CONVERGED
 
 
@@ -676,15 +656,10 @@ def _unit_mass(density: npt.NDArray[np.float64], ops: Any) -> npt.NDArray[np.flo
     return density / mass if np.isfinite(mass) and mass > 0 else density
 
 
-def _write_flow(options: Options, shape: Any, r: Any, certificate: Sequence[float]) -> None:
-    values = {
-        "density": np.ascontiguousarray(r.density.T),
-        "momentum": r.momentum,
-        "potential": np.ascontiguousarray(r.potential.T),
-        "certificate": np.array(certificate),
-    }
+def _write_flow(options: Options, shape: Any, r: Any) -> None:
+    values = {"density": np.ascontiguousarray(r.density.T), "potential": np.ascontiguousarray(r.potential.T)}  # a row a vertex
     pictures = [name for name in options.out or [] if Path(name).suffix.lower() in (".png", ".html")]
-    write(argparse.Namespace(out=[name for name in options.out or [] if name not in pictures]), shape, values, {})
+    write(argparse.Namespace(out=[name for name in options.out or [] if name not in pictures]), shape, values, {}, result=r)
     for name in pictures:
         times = options.times if name.lower().endswith(".png") else max(options.times, 25)
         print(f"wrote {r.plot(times=times, path=name, **_looks(options)).path}")
@@ -716,7 +691,7 @@ def transport(options: Options) -> int:
     rows = [("distance W2", r.distance), ("cost, half its square", r.cost), ("proved lower bound", r.lower_bound), ("relative gap", r.gap)]
     rows += [("continuity residual", r.continuity_residual), ("least density", float(r.density.min())), ("iterations", r.iterations)]
     table([*rows, ("converged", r.converged)])
-    _write_flow(options, shape, r, (r.cost, r.lower_bound, r.gap))
+    _write_flow(options, shape, r)
     return DONE if r.converged else _unfinished(r)
 
 
@@ -783,7 +758,7 @@ def game(options: Options) -> int:
         ("iterations", r.iterations),
     ]
     table([*rows, ("converged", r.converged)])
-    _write_flow(options, shape, r, (r.objective, r.lower_bound, r.gap))
+    _write_flow(options, shape, r)
     return DONE if r.converged else _unfinished(r)
 
 
@@ -841,7 +816,6 @@ def skeleton(options: Options) -> int:
         if Path(name).suffix.lower() in (".png", ".html"):
             r.plot(path=name, **look)
         else:
-            _folder(Path(name))
             r.save(name)
         print(f"wrote {name}")
     return DONE
@@ -955,7 +929,7 @@ def committor(options: Options) -> int:
     )
     painted = [name for name in options.out or [] if Path(name).suffix.lower() in (".png", ".html")]
     rest = argparse.Namespace(out=[name for name in options.out or [] if name not in painted])
-    write(rest, shape, {**r.table(), **{name: np.asarray(value) for name, value in r.scalars().items()}}, {})
+    write(rest, shape, r.table(), {}, result=r)
     lines = options.lines if getattr(shape, "dimension", 2) == 2 or isinstance(shape, bt.TriangleMesh) else 0
     for name in painted:
         print(f"wrote {r.plot(path=name, streamlines=lines, **look).path}")

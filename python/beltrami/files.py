@@ -105,7 +105,7 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
     PLY holds everything: coordinates of any dimension, and every array of ``.data`` with its type. OBJ holds colours (as shares
     of 1), texture coordinates and normals; OFF colours and normals; XYZ normals; PTS colours; CSV columns. What a format has no
     place for is left out with a warning that names it. Reals are written so that they read back as the same bits; binary STL alone
-    has single precision. What lies in the plane gets height 0 in formats of space.
+    has single precision. What lies in the plane gets height 0 in formats of space. A missing folder is made.
 
     Parameters
     ----------
@@ -143,18 +143,39 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
         shape = load(shape)
     vertices, faces, fields = _parts(shape)
     kept, lost = _storable(fields)
+    _make_folder(Path(name))
     lost += _core.save_file(name, vertices, faces, kept, format, bool(ascii), reporter(progress, "save"))
     if lost:
         warnings.warn(f"{name} has no place for data {', '.join(map(repr, lost))}; .ply keeps numbers of any type", stacklevel=2)
 
 
-def written(path: Path, fill: Callable[[Any], object]) -> Path:
-    """A file that ``fill`` writes to a stream of bytes; what the system says against it is a :class:`FileError`."""
+def _make_folder(path: Path) -> None:
+    """Makes the folder that a file is to lie in, so that no long computation is lost for the want of it."""
     try:
-        with path.open("wb") as stream:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise _unwritten(path, error) from None
+
+
+def _unwritten(path: Path, error: OSError | ValueError) -> FileError:  # ValueError: a null character in the name
+    return FileError(f"{path} cannot be written: {getattr(error, 'strerror', None) or error}")
+
+
+def written(path: Path, fill: Callable[[Any], object]) -> Path:
+    """A file that ``fill`` writes to a stream of bytes, in a folder that is made where it is missing.
+
+    What the system says against it is a :class:`FileError`.
+    """
+    _make_folder(path)
+    try:
+        stream = path.open("wb")
+    except (OSError, ValueError) as error:
+        raise _unwritten(path, error) from None
+    try:
+        with stream:
             fill(stream)
     except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
+        raise _unwritten(path, error) from None
     return path
 
 

@@ -536,4 +536,4 @@ def test_inputs_are_left_alone_and_results_are_written(tmp_path: Path) -> None:
     with pytest.raises(bt.InputError, match=r"\.npz"):
         r.save(tmp_path / "r.xyz")
     with pytest.raises(bt.FileError):
-        r.save(tmp_path / "absent" / "r.npz")
+        r.save(tmp_path / "r.csv" / "r.npz")

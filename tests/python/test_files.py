@@ -304,7 +304,7 @@ def test_faults_of_paths_and_arguments(tmp_path):
     with pytest.raises(bt.InputError, match="face 0 refers to vertex 9"):
         bt.load((SQUARE, [[0, 1, 9]]))
     mesh = bt.TriangleMesh(SQUARE, TWO)
-    for name, cause in (("a.what", "the format is not known"), ("a.xyz", "would lose the faces"), ("no/such/a.ply", "cannot be written")):
+    for name, cause in (("a.what", "the format is not known"), ("a.xyz", "would lose the faces"), ("a.what/a.ply", "cannot be written")):
         with pytest.raises(bt.FileError, match=cause):
             bt.save(mesh, tmp_path / name)
     with pytest.raises(bt.FileError, match="STL holds triangles only"):

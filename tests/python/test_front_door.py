@@ -180,7 +180,8 @@ def test_results_follow_one_pattern(tmp_path: Any) -> None:
         with pytest.raises(bt.InputError, match=r"what\.xyz"):
             result.save(tmp_path / "what.xyz")
         with pytest.raises(bt.FileError, match="cannot be written"):
-            result.save(tmp_path / "no" / "such" / "folder.npz")
+            result.save(file / "below_a_file.npz")
+        assert result.save(tmp_path / "new" / "folder" / file.name).exists()
         for wrong in (None, 3, ["a.npz"]):
             with pytest.raises(bt.InputError, match=r"path is .* a str or PathLike is needed"):
                 result.save(wrong)

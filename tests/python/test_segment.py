@@ -443,7 +443,7 @@ def test_command_line(tmp_path, capsys):
     assert main(["segment", *arguments]) == 0
     assert "relative gap" in capsys.readouterr().out
     with np.load(tmp_path / "out.npz") as kept:
-        assert kept["label"].shape == (len(mesh.vertices),)
+        assert kept["labels"].shape == (len(mesh.vertices),)
     assert main(["denoise", *arguments, "--max-iterations", "1", "--tolerance", "1e-15"]) == 1
     assert main(["segment", str(tmp_path / "sphere.ply")]) == 2  # no colours, no --values
 

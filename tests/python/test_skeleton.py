@@ -297,7 +297,7 @@ def test_files(tmp_path: Path) -> None:
     with pytest.raises(bt.InputError, match=r"\.swc, \.obj"):
         ring.save(tmp_path / "b.stl")
     with pytest.raises(bt.FileError, match="cannot be written"):
-        ring.save(tmp_path / "missing" / "b.obj")
+        ring.save(tmp_path / "a.obj" / "b.obj")
 
 
 def test_contours_lie_on_the_surface() -> None:

@@ -14,7 +14,8 @@ import scipy
 from .. import _core, arrays
 from ..arrays import Floats, Ints
 from ..eigen import eigenpairs
-from ..errors import FileError, InputError, TopologyError
+from ..errors import InputError, TopologyError
+from ..files import written
 from ..near import nearest_neighbors
 from ..operators import Operators, operators
 from ..progress import Progress, part, reporter
@@ -196,27 +197,14 @@ class SkeletonResult:
             raise InputError(f"{path}: a skeleton is written to .swc, .obj, .npz, .png or .html")
         if suffix != ".npz" and self.nodes.shape[1] != 3:
             raise InputError(f"{path}: {suffix} holds points of R^3, these lie in R^{self.nodes.shape[1]}; write .npz")
-        try:
-            if suffix == ".npz":
-                np.savez_compressed(
-                    path,
-                    nodes=self.nodes,
-                    edges=self.edges,
-                    radii=self.radii,
-                    node_of_point=self.node_of_point,
-                    limb_of_node=self.limb_of_node,
-                    components=self.components,
-                    function=self.function,
-                    limbs=np.concatenate(self.limbs),
-                    limb_starts=np.cumsum([0, *map(len, self.limbs)]),
-                    contours=np.concatenate(self.contours),
-                    contour_starts=np.cumsum([0, *map(len, self.contours)]),
-                )
-            else:
-                path.write_text("\n".join(self._swc(path) if suffix == ".swc" else self._obj()) + "\n", encoding="ascii")
-        except OSError as error:
-            raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
-        return path
+        if suffix != ".npz":
+            text = "\n".join(self._swc(path) if suffix == ".swc" else self._obj()) + "\n"
+            return written(path, lambda stream: stream.write(text.encode("ascii")))
+        names = ("nodes", "edges", "radii", "node_of_point", "limb_of_node", "components", "function")
+        fields: dict[str, Any] = {name: getattr(self, name) for name in names}
+        for name, lists in (("limb", self.limbs), ("contour", self.contours)):
+            fields |= {f"{name}s": np.concatenate(lists), f"{name}_starts": np.cumsum([0, *map(len, lists)])}
+        return written(path, lambda stream: np.savez_compressed(stream, **fields))
 
     def _obj(self) -> list[str]:
         lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in self.nodes.tolist()]

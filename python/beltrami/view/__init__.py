@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core, arrays
-from ..errors import FileError, InputError
+from ..errors import InputError
+from ..files import written
 from ..progress import Progress, part, reporter
 from . import colors, lettering
 
@@ -114,13 +115,7 @@ class Page:
 
 
 def _write(path: str | os.PathLike[str], content: bytes) -> Path:
-    path = arrays.file(path, "path")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
-    return path
+    return written(arrays.file(path, "path"), lambda stream: stream.write(content))
 
 
 @dataclass(frozen=True)
