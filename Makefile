@@ -71,7 +71,8 @@ wheel: build ## the wheel in dist/, tried in empty environments (PYTHONS="python
 	rm -rf dist && . $(BIN)/activate && maturin build --release --locked --out dist
 	$(BIN)/python python/try_wheel.py dist/*.whl $(PYTHONS)
 
-slow: build ## the sweeps that take minutes
+slow: build ## the sweeps that take minutes, from new seeds in every run
+	PROPTEST_CASES=100000 PROPTEST_RNG_SEED=$$(date +%s) cargo test --release --quiet --test io --test hostile
 	HYPOTHESIS_PROFILE=random $(BIN)/python -m pytest -q -m slow
 
 clean: ## remove what was built

@@ -28,20 +28,27 @@ fn assert_sound(shape: &Geometry<'_>) {
     assert_eq!(names.len(), shape.data.len(), "names are there once");
 }
 
+/// Answered in time and room that are in proportion to the file (a thousand times more generous than what is needed).
 fn assert_answers(bytes: &[u8], format: Format) {
+    let start = std::time::Instant::now();
     match parse(bytes, format) {
-        Ok(shape) => assert_sound(&shape),
+        Ok(shape) => {
+            assert_sound(&shape);
+            let numbers = shape.vertices.len() + 3 * shape.faces.len() + shape.data.iter().map(|field| field.values.len()).sum::<usize>();
+            assert!(numbers <= 4 * bytes.len().max(16), "{format:?}: {numbers} numbers of {} bytes", bytes.len());
+        }
         Err(Error::File { path, cause, .. }) => {
             assert_eq!(path, Path::new("some.file"));
             assert!(!cause.is_empty());
         }
         Err(other) => panic!("{format:?}: {other:?} is no error of a file"),
     }
+    assert!(start.elapsed().as_secs() < 20, "{format:?}: {} bytes take {:?}", bytes.len(), start.elapsed());
 }
 
-/// That many cases; a thousand times `FUZZ` of them where that variable is set.
+/// That many cases; as many as `PROPTEST_CASES` says where that variable is set.
 fn cases(usual: u32) -> ProptestConfig {
-    let cases = std::env::var("FUZZ").ok().and_then(|text| text.parse::<u32>().ok()).map_or(usual, |factor| factor * 1000);
+    let cases = std::env::var("PROPTEST_CASES").map_or(usual, |_| ProptestConfig::default().cases);
     ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
 }
 
@@ -134,9 +141,12 @@ fn samples() -> Vec<(Format, Vec<u8>)> {
         (Format::Obj, "# c\nmtllib a\no one\nv 0 0 0 1 0.5 0\nv 1 0 0 0 0 1\nv 1e0 1. 0 1 1 1\nv -0 +1 0 0 0 0\nvt 0 0\nvt 1 0\nvn 0 0 1\nf 1/1/1 2/2/1 3/1/1 \\\n 4/2/1\nf -4 -3 -2\nl 1 2\n"),
         (Format::Off, "COFF # c\n4 2 0\n0 0 0 255 0 0 255\n1 0 0 0 0 0 255\n1 1 0 1 2 3 4\n0 1 0 9 9 9 9\n4 0 1 2 3 0.5 0.5 0.5\n3 0 2 1\n"),
         (Format::Off, "NOFF\n3 1\n0 0 0 0 0 1\n1 0 0 0 0 1\n1 1 0 0 0 1\n3 0 1 2\n"),
+        (Format::Off, "CNOFF\r\n3 1 0\r\n0 0 0 0 0 1 1 0 0 1\r\n1 0 0 0 0 1 0 1 0 1\r\n\r\n1 1 0 0 0 1 0 0 1 1\r\n3 0 1 2\r\n"),
+        (Format::Obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\nf 3//1 2//1 4//1\nv 0 0 1\n"),
         (Format::Stl, "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n"),
         (Format::Xyz, "# c\n0 0 0 1 0 0\n1 2 3 0 1 0\n"),
         (Format::Pts, "2\n0 0 0 0.5 255 0 0\n1 2 3 0.25 0 255 7\n"),
+        (Format::Csv, "\"X\"\ty\tz\tx3\tx4\ta\ta\n0\t0\t0\t1\t2\t3\t7\n1\t2\t3\t4\t5\t255\t8\n"),
         (Format::Csv, "x,y,z,red,green,blue,label\n0,0,0,1,2,3,7\n1,2,3,4,5,255,8\n"),
         (Format::Ply, "ply\nformat ascii 1.0\ncomment beltrami field a 2 int64 b c\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nproperty int a\nproperty int d\nproperty list uchar short l\nelement face 2\nproperty list uchar int vertex_indices\nproperty uchar red\nelement edge 1\nproperty int vertex1\nend_header\n0 0 0 1 2 2 7 7\n1 0 0 3 4 2 8 8\n1 1 0 5 6 2 9 9\n3 0 1 2 5\n4 0 1 2 1 6\n7\n"),
     ]
@@ -177,13 +187,25 @@ enum Damage {
     Cut(usize),
     Remove(usize, usize),
     Repeat(usize, usize),
+    Word(usize, Vec<u8>),
+    Lines(usize, usize),
+    Carriages,
     Insert(usize, Vec<u8>),
 }
 
 fn damage() -> impl Strategy<Value = Damage> {
     let words = prop::sample::select(vec![
         "-1",
+        "-9223372036854775808",
+        "2147483648",
+        "4294967294",
+        "4294967294/1",
+        "1//4294967294",
         "99999999999",
+        "1000000000000",
+        "1e400",
+        "-inf",
+        "\u{fffd}",
         "18446744073709551615",
         "nan",
         "inf",
@@ -205,6 +227,9 @@ fn damage() -> impl Strategy<Value = Damage> {
         any::<usize>().prop_map(Damage::Cut),
         (any::<usize>(), 1usize..40).prop_map(|(at, count)| Damage::Remove(at, count)),
         (any::<usize>(), 1usize..40).prop_map(|(at, count)| Damage::Repeat(at, count)),
+        (any::<usize>(), words.clone()).prop_map(|(at, word)| Damage::Word(at, word.as_bytes().to_vec())),
+        (any::<usize>(), 1usize..60).prop_map(|(at, copies)| Damage::Lines(at, copies)),
+        Just(Damage::Carriages),
         (any::<usize>(), words).prop_map(|(at, word)| Damage::Insert(at, word.as_bytes().to_vec())),
     ]
 }
@@ -219,6 +244,23 @@ fn damaged(mut bytes: Vec<u8>, damages: &[Damage]) -> Vec<u8> {
             Damage::Repeat(at, count) => {
                 let part = bytes[(at % n).min(bytes.len())..(at % n + count).min(bytes.len())].to_vec();
                 bytes.splice(at % n.min(bytes.len().max(1))..at % n.min(bytes.len().max(1)), part);
+            }
+            Damage::Word(at, word) => {
+                let ends = [0].into_iter().chain((0..bytes.len()).filter(|&i| b" \n\r\t,".contains(&bytes[i])).map(|i| i + 1));
+                let starts: Vec<usize> = ends.chain([bytes.len()]).collect();
+                let [start, end] = starts[at % (starts.len() - 1)..][..2] else { unreachable!() };
+                drop(bytes.splice(start..end.saturating_sub(1).max(start), word.iter().copied()));
+            }
+            Damage::Lines(at, copies) => {
+                let at = at % n.min(bytes.len().max(1));
+                let start = bytes[..at.min(bytes.len())].iter().rposition(|&byte| byte == b'\n').map_or(0, |place| place + 1);
+                let end = bytes[start..].iter().position(|&byte| byte == b'\n').map_or(bytes.len(), |place| start + place + 1);
+                let lines = bytes[start..end].repeat(*copies);
+                drop(bytes.splice(start..start, lines));
+            }
+            Damage::Carriages => {
+                let text = std::mem::take(&mut bytes);
+                bytes.extend(text.into_iter().flat_map(|byte| if byte == b'\n' { vec![b'\r', b'\n'] } else { vec![byte] }));
             }
             Damage::Insert(at, part) => drop(bytes.splice((at % n).min(bytes.len())..(at % n).min(bytes.len()), part.iter().copied())),
         }
@@ -248,10 +290,18 @@ proptest! {
     #![proptest_config(cases(512))]
 
     #[test]
-    fn damaged_files_are_answered(sample in any::<prop::sample::Index>(), damages in prop::collection::vec(damage(), 1..5)) {
+    fn damaged_files_are_answered(sample in any::<prop::sample::Index>(), damages in prop::collection::vec(damage(), 1..5), packed: bool) {
         let samples = samples();
         let (format, bytes) = &samples[sample.index(samples.len())];
-        assert_answers(&damaged(bytes.clone(), &damages), *format);
+        let bytes = damaged(bytes.clone(), &damages);
+        assert_answers(&if packed { gzip(&bytes) } else { bytes }, *format);
+    }
+
+    #[test]
+    fn damaged_packings_are_answered(sample in any::<prop::sample::Index>(), damages in prop::collection::vec(damage(), 1..3)) {
+        let samples = samples();
+        let (format, bytes) = &samples[sample.index(samples.len())];
+        assert_answers(&damaged(gzip(bytes), &damages), *format);
     }
 
     #[test]
@@ -353,14 +403,36 @@ fn a_lying_count_costs_nothing() {
     assert!(parse(b"OFF\n1 1 0\n0 0 0\n2000000000 0", Format::Off).is_err());
 }
 
+/// Each of these once took hours, or all memory there is.
 #[test]
-fn a_gzip_bomb_is_refused() {
+fn small_files_take_no_time_and_no_room() {
+    let many = 30_000;
+    assert_answers(format!("x,y{}\n0,0{}\n", ",a".repeat(many), ",1".repeat(many)).as_bytes(), Format::Csv);
+    let axes: String = (2..many).rev().map(|axis| if axis == 2 { ",z".into() } else { format!(",x{axis}") }).collect();
+    assert_answers(format!("y,x{axes}\n0,0{}\n", ",1".repeat(many - 2)).as_bytes(), Format::Csv);
+    assert!(parse(b"v 0 0 0\nvt 0 0\nf 4294967290/1 1/1 1/1\n", Format::Obj).is_err());
+    let properties: String = (0..4000).map(|i| format!("property float a{i}\n")).collect();
+    let hints: String = (0..20_000).map(|i| format!("comment beltrami field a0 4000 int8 n{i}\n")).collect();
+    let head = format!("ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n{properties}{hints}end_header\n");
+    assert_answers(format!("{head}{}\n", "0.5 ".repeat(4002)).as_bytes(), Format::Ply);
+}
+
+#[test]
+fn repeated_names_are_numbered() {
+    let shape = parse(b"x,y,a,a_2,a,a\n0,0,1,2,3,4\n", Format::Csv).unwrap();
+    assert_eq!(shape.data.iter().map(|field| field.name.as_str()).collect::<Vec<_>>(), ["a", "a_2", "a_3", "a_4"]);
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
     use std::io::Write;
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
-    for _ in 0..100 {
-        encoder.write_all(&vec![b'\n'; 1 << 20]).unwrap();
-    }
-    let error = parse(&encoder.finish().unwrap(), Format::Xyz).unwrap_err().to_string();
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+#[test]
+fn a_gzip_bomb_is_refused() {
+    let error = parse(&gzip(&vec![b'\n'; 100 << 20]), Format::Xyz).unwrap_err().to_string();
     assert!(error.contains("unpacks to more than"), "{error}");
 }
 

@@ -32,6 +32,7 @@ use crate::shape::TriangleMesh;
 use polygon::Faces;
 use source::{Parsed, Source, Stop};
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::path::Path;
 
 /// A file format this library reads and writes itself.
@@ -337,10 +338,27 @@ fn not_finite(vertex: usize, number: f64) -> String {
     format!("a coordinate of vertex {vertex} is {number}; positions must be finite")
 }
 
-/// The field of the same name must not be there twice.
-fn push_field(data: &mut Vec<Field>, mut field: Field) {
-    while data.iter().any(|other| other.name == field.name) {
-        field.name.push('_');
+/// Fields with names of their own: where a file repeats `name`, the next is called `name_2`.
+#[derive(Default)]
+struct Fields {
+    fields: Vec<Field>,
+    counts: HashMap<String, usize>, // up to which number each name is taken
+}
+
+impl Fields {
+    fn push(&mut self, mut field: Field) {
+        if let Some(mut count) = self.counts.get(&field.name).copied() {
+            let wanted = field.name;
+            loop {
+                count += 1;
+                field.name = format!("{wanted}_{count}");
+                if !self.counts.contains_key(&field.name) {
+                    break;
+                }
+            }
+            self.counts.insert(wanted, count);
+        }
+        self.counts.insert(field.name.clone(), 1);
+        self.fields.push(field);
     }
-    data.push(field);
 }

@@ -102,14 +102,14 @@ pub(super) fn parse(bytes: &[u8], control: &Control) -> Parsed<Geometry<'static>
                 let line = text.line();
                 while let Some(word) = text.word() {
                     let mut parts = word.split(|&byte| byte == b'/');
-                    let vertex = index(parts.next().unwrap_or_default(), vertices.len() / 3, line, faces.count(), word)?;
+                    let vertex = index(parts.next().unwrap_or_default(), vertices.len() / 3, bytes.len(), line, faces.count(), word)?;
                     polygon.push(vertex);
                     if let Some(part) = parts.next().filter(|part| !part.is_empty()) {
-                        let entry = index(part, textures.len() / 2, line, faces.count(), word)?;
+                        let entry = index(part, textures.len() / 2, bytes.len(), line, faces.count(), word)?;
                         texture_links.note(vertex, entry); // along a seam the first one counts
                     }
                     if let Some(part) = parts.next().filter(|part| !part.is_empty()) {
-                        let entry = index(part, normals.len() / 3, line, faces.count(), word)?;
+                        let entry = index(part, normals.len() / 3, bytes.len(), line, faces.count(), word)?;
                         if let Some(link) = normal_links.note(vertex, entry) {
                             let same = |a: u32, b: u32| {
                                 normals.get(a as usize * 3..a as usize * 3 + 3) == normals.get(b as usize * 3..b as usize * 3 + 3)
@@ -154,12 +154,13 @@ pub(super) fn parse(bytes: &[u8], control: &Control) -> Parsed<Geometry<'static>
     Ok(Geometry { dimension: 3, vertices: vertices.into(), faces: faces.into(), data })
 }
 
-/// An index of a face's corner, from 0: given from 1, or from the last entry backwards.
+/// An index of a face's corner, from 0: given from 1, or from the last entry backwards. It may be ahead of its entry, but no
+/// file holds as many entries as bytes.
 #[inline]
-fn index(part: &[u8], count: usize, line: usize, face: usize, word: &[u8]) -> Parsed<u32> {
+fn index(part: &[u8], count: usize, most: usize, line: usize, face: usize, word: &[u8]) -> Parsed<u32> {
     let wrong = |cause: String| Stop::line(line, format!("face {face}: {cause}"));
     match whole(part) {
-        Some(given) if given > 0 && given < i64::from(MIXED) => Ok((given - 1) as u32),
+        Some(given) if given > 0 && given < i64::from(MIXED).min(most as i64) => Ok((given - 1) as u32),
         Some(given) if given < 0 && given >= -(count as i64) => Ok((count as i64 + given) as u32),
         Some(0) => wrong(format!("corner {:?} has index 0; OBJ counts from 1", shown(word))),
         Some(given) => wrong(format!("corner {:?} refers to entry {given}, there are {count} so far", shown(word))),

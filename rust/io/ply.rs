@@ -3,8 +3,9 @@
 use super::source::{Parsed, Source, Stop, reserved};
 use super::text::{PLAIN, Text, number, shown, whole};
 use super::values::{Field, Scalar, Stored, Values, at, with_number, with_values};
-use super::{Faces, Geometry, not_finite, push_field};
+use super::{Faces, Fields, Geometry, not_finite};
 use crate::control::Control;
+use std::collections::HashMap;
 
 const LONGEST_HEADER: usize = 1 << 20;
 const MOST_PROPERTIES: usize = 4096;
@@ -630,48 +631,48 @@ fn read_strips(body: &mut Body<'_, '_>, element: &Element, count: usize, faces: 
 
 /// Properties that belong together become one field: those the writer's hints name, colours and normals.
 fn grouped(columns: Vec<Field>, hints: &[Hint]) -> Vec<Field> {
-    let mut groups: Vec<(Vec<String>, Option<&Hint>, &str)> = Vec::new();
+    let scalars = columns.iter().enumerate().filter(|(_, column)| !column.table);
+    let places: HashMap<String, usize> = scalars.map(|(place, column)| (column.name.clone(), place)).collect();
+    let mut columns: Vec<Option<Field>> = columns.into_iter().map(Some).collect();
+    let mut made: Vec<(usize, Field)> = Vec::new();
+    let mut claimed = vec![false; columns.len()]; // a property belongs to one hint, so that a header full of them is read in passing
     for hint in hints {
-        let start = columns.iter().position(|column| column.name == hint.property && !column.table);
-        let members = start.and_then(|start| columns.get(start..start.checked_add(hint.columns)?));
-        if let Some(members) = members {
-            groups.push((members.iter().map(|member| member.name.clone()).collect(), Some(hint), &hint.name));
+        let members = places.get(&hint.property).and_then(|&start| Some(start..start.checked_add(hint.columns)?));
+        let Some(members) = members.filter(|members| members.end <= columns.len() && !members.is_empty()) else { continue };
+        if claimed[members.clone()].contains(&true) {
+            continue;
         }
+        claimed[members.clone()].fill(true);
+        let parts: Option<Vec<&Values>> =
+            columns[members.clone()].iter().map(|column| column.as_ref().filter(|field| !field.table).map(|field| &field.values)).collect();
+        let values = parts.and_then(|parts| Values::side_by_side(&parts)).and_then(|joined| joined.converted(&hint.kind));
+        let Some(values) = values else { continue };
+        made.push((members.start, Field { name: hint.name.clone(), columns: hint.columns, table: hint.table, values }));
+        columns[members].fill(None);
     }
     let usual: [(&[&str], &str); 3] =
         [(&["red", "green", "blue", "alpha"], "colors"), (&["red", "green", "blue"], "colors"), (&["nx", "ny", "nz"], "normals")];
-    groups.extend(usual.map(|(names, name)| (names.iter().map(ToString::to_string).collect(), None, name)));
-    let mut columns: Vec<Option<Field>> = columns.into_iter().map(Some).collect();
-    let mut made: Vec<(usize, Field)> = Vec::new();
-    for (names, hint, name) in groups {
-        let position =
-            |name: &String| columns.iter().position(|column| column.as_ref().is_some_and(|field| !field.table && field.name == *name));
-        let Some(members) = names.iter().map(position).collect::<Option<Vec<usize>>>().filter(|members| !members.is_empty()) else {
+    for (names, name) in usual {
+        let members: Option<Vec<usize>> = names.iter().map(|name| places.get(*name).copied()).collect();
+        let Some(members) = members else { continue };
+        let Some(parts) = members.iter().map(|&member| columns[member].as_ref().map(|field| &field.values)).collect::<Option<Vec<_>>>()
+        else {
             continue;
         };
-        let others = columns.iter().flatten().map(|field| &field.name).filter(|name| !names.contains(name));
-        if hint.is_none() && others.chain(made.iter().map(|(_, field)| &field.name)).any(|other| other == name) {
+        if columns.iter().flatten().chain(made.iter().map(|(_, field)| field)).any(|field| field.name == name) {
             continue;
         }
-        let parts: Vec<&Values> = members.iter().filter_map(|&member| columns[member].as_ref()).map(|field| &field.values).collect();
-        let Some(joined) = Values::side_by_side(&parts) else { continue };
-        let Some(values) = (match hint {
-            Some(hint) => joined.converted(&hint.kind),
-            None => Some(joined),
-        }) else {
-            continue;
-        };
-        let table = hint.is_none_or(|hint| hint.table);
-        made.push((members[0], Field { name: name.into(), columns: members.len(), table, values }));
+        let Some(values) = Values::side_by_side(&parts) else { continue };
+        made.push((members[0], Field::table(name, members.len(), values)));
         for member in members {
             columns[member] = None;
         }
     }
     made.extend(columns.into_iter().enumerate().filter_map(|(place, column)| column.map(|column| (place, column))));
     made.sort_by_key(|(place, _)| *place);
-    let mut data = Vec::with_capacity(made.len());
+    let mut data = Fields::default();
     for (_, field) in made {
-        push_field(&mut data, field);
+        data.push(field);
     }
-    data
+    data.fields
 }

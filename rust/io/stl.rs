@@ -22,7 +22,7 @@ pub(super) fn parse(source: Source<'_>, control: &Control) -> Parsed<Geometry<'s
         _ if says_solid => ascii(&text, control)?,
         _ => return Stop::byte(0, "is neither text that begins with `solid` nor long enough for binary STL"),
     };
-    let faces: Vec<[u32; 3]> = (0..vertices.len() as u32 / 9).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect();
+    let faces: Vec<[u32; 3]> = (0..(vertices.len() / 9) as u32).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect();
     Ok(Geometry { dimension: 3, vertices: vertices.into(), faces: faces.into(), data: Vec::new() })
 }
 

@@ -3,8 +3,9 @@
 use super::source::{Parsed, Stop};
 use super::text::{SEPARATED, Text, number, shown, whole};
 use super::values::{Field, Values};
-use super::{Format, Geometry, push_field};
+use super::{Fields, Format, Geometry};
 use crate::control::Control;
+use std::collections::HashMap;
 use std::path::Path;
 
 pub(super) fn parse(bytes: &[u8], format: Format, path: &Path, control: &Control) -> Parsed<Geometry<'static>> {
@@ -98,7 +99,11 @@ fn shape(
 ) -> Parsed<Geometry<'static>> {
     let named = names.is_some();
     let names = names.unwrap_or_else(|| standard_names(&table, format, path));
-    let find = |wanted: &str| names.iter().position(|name| name.eq_ignore_ascii_case(wanted));
+    let mut places = HashMap::new(); // a table may have as many columns as there are dimensions
+    for (column, name) in names.iter().enumerate() {
+        places.entry(name.to_ascii_lowercase()).or_insert(column);
+    }
+    let find = |wanted: &str| places.get(wanted).copied();
     let mut axes: Vec<usize> = ["x", "y", "z"].into_iter().map_while(find).collect();
     if axes.len() == 3 {
         axes.extend((3..names.len()).map_while(|axis| find(&format!("x{axis}"))));
@@ -111,18 +116,18 @@ fn shape(
     if let Some(at) = vertices.iter().position(|number| !number.is_finite()) {
         return not_finite_line(bytes, at / axes.len(), vertices[at], named, format, control);
     }
-    let mut used = axes.clone();
+    let mut used = vec![false; names.len()];
+    axes.iter().for_each(|&axis| used[axis] = true);
     let mut groups: Vec<(Vec<usize>, &str)> = Vec::new();
     for (members, name) in
         [(&["red", "green", "blue", "alpha"][..], "colors"), (&["red", "green", "blue"], "colors"), (&["nx", "ny", "nz"], "normals")]
     {
-        if let Some(columns) = members.iter().map(|member| find(member).filter(|column| !used.contains(column))).collect::<Option<Vec<_>>>()
-        {
-            used.extend(&columns);
+        if let Some(columns) = members.iter().map(|member| find(member).filter(|&column| !used[column])).collect::<Option<Vec<_>>>() {
+            columns.iter().for_each(|&column| used[column] = true);
             groups.push((columns, name));
         }
     }
-    let mut data = Vec::new();
+    let mut data = Fields::default();
     for (column, name) in names.iter().enumerate() {
         if let Some((columns, name)) = groups.iter().find(|(columns, _)| columns[0] == column) {
             let values = table.columns(columns);
@@ -130,12 +135,12 @@ fn shape(
                 && values.iter().all(|&value| value == value.trunc() && (0.0..256.0).contains(&value))
                 && values.iter().any(|&value| value > 1.0);
             let values = if bytes { Values::U8(values.into_iter().map(|value| value as u8).collect()) } else { Values::F64(values) };
-            push_field(&mut data, Field::table(*name, columns.len(), values));
-        } else if !used.contains(&column) {
-            push_field(&mut data, Field::vector(name, Values::F64(table.columns(&[column]))));
+            data.push(Field::table(*name, columns.len(), values));
+        } else if !used[column] {
+            data.push(Field::vector(name, Values::F64(table.columns(&[column]))));
         }
     }
-    Ok(Geometry { dimension: axes.len(), vertices: vertices.into(), faces: Vec::new().into(), data })
+    Ok(Geometry { dimension: axes.len(), vertices: vertices.into(), faces: Vec::new().into(), data: data.fields })
 }
 
 /// What the columns of a table without a header are, by custom.

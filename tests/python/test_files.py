@@ -191,6 +191,7 @@ REFUSED = {
     "count.pts": "line 4: the file announces 3 points and holds 2",
     "cut_short.ply.gz": "byte",
     "cut_short.stl": "line 9: the file ends within a solid",
+    "far_ahead.obj": 'line 3: face 0: corner "4000000000/1" refers to entry 4000000000, there are 1',
     "forward_out_of_range.obj": "line 8: face 1 refers to vertex 4, the file has 3",
     "four.off": "line 1: .4OFF. is not read",
     "lying_count.ply": "line 7: 4000000000 vertices",
@@ -215,6 +216,7 @@ READ = {  # vertices, faces, data
     "list_of_vertex.ply": (3, None, {"weights": [[0.5, 0.1], [0.25, 1], [0, 3]]}),
     "minus_zero.stl": (4, [[0, 1, 2], [2, 1, 3]], {}),
     "one_line_header.off": (3, [[0, 1, 2]], {}),
+    "repeated_names.csv": (2, None, {"a": [1, 5], "a_2": [2, 6], "a_2_2": [3, 7], "a_3": [4, 8]}),
     "seam.obj": (4, [[0, 1, 2], [0, 2, 3]], {"uv": [[0, 0], [0.5, 0], [1, 1], [0, 1]], "normals": [[0, 0, 1]] * 4}),
     "tristrips.ply": (5, [[0, 1, 2], [2, 1, 3], [3, 2, 4]], {}),
 }
