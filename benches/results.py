@@ -46,7 +46,7 @@ def block(path: Path) -> str:
     if told.returncode:
         text += f"\nended with {told.returncode}: {told.stderr.strip().splitlines()[-1:]}"
     print(text)
-    heading = (path.read_text().split('"""')[1].strip().splitlines() or [path.stem])[0]
+    heading = path.read_text().split('"""')[1].strip().split("\n\n")[0].replace("\n", " ")
     when = f"{datetime.date.today()}, {time.perf_counter() - start:.0f} s, load before it {load:.1f}."
     return f"## {path.stem}\n\n{heading}\n\n{when}\n\n```text\n{text}\n```\n"
 

@@ -1,6 +1,7 @@
 //! Which corners of triangles lie on a vertex.
 
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// For each vertex the corners (3 face + corner) that lie on it, by ascending face.
@@ -64,6 +65,11 @@ impl Corners {
     /// Where the corners of each vertex start among all; vertices + 1 numbers.
     pub(super) fn starts(&self) -> &[u32] {
         &self.starts
+    }
+
+    /// The corners of a run of vertices, one vertex after the other.
+    pub(super) fn of_run(&self, vertices: Range<usize>) -> &[u32] {
+        &self.corners[self.starts[vertices.start] as usize..self.starts[vertices.end] as usize]
     }
 
     pub(super) fn of(&self, vertex: usize) -> &[u32] {

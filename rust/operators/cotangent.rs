@@ -226,6 +226,9 @@ fn of_fans(mesh: &TriangleMesh, corners: &Corners) -> Option<MeshOperators> {
     (ends > 0).then(|| MeshOperators { stiffness, mass, spacing: edges.iter().sum::<f64>() / ends as f64 })
 }
 
+/// Vertices whose surroundings are loaded together.
+const BLOCK: usize = 32;
+
 /// Some rows in a run.
 struct Fans<'a> {
     mesh: &'a TriangleMesh<'a>,
@@ -255,31 +258,44 @@ impl Fans<'_> {
     /// Fills the rows; D the dimension of space, 0 for those that have no fast way.
     #[inline(always)]
     fn rows<const D: usize>(self) -> Option<f64> {
-        let (points, _) = if D > 0 { self.mesh.vertices().as_chunks::<D>() } else { (&[] as &[[f64; D]], &[] as &[f64]) };
+        let points: &[[f64; D]] = if D > 0 { self.mesh.vertices().as_chunks().0 } else { &[] };
+        let (mut triangles, mut positions, mut work) = (Vec::new(), Vec::new(), Vec::new());
+        let (count, before) = (self.mass.len(), self.starts[self.first]);
         let mut edges = 0.0;
-        let mut work = Vec::new();
-        let before = self.starts[self.first];
-        for (vertex, mass) in (self.first..).zip(self.mass) {
-            let around = self.corners.of(vertex);
-            let range = self.starts[vertex] - before..self.starts[vertex + 1] - before;
-            let mut row = Row {
-                vertex: vertex as u32,
-                around,
-                faces: self.mesh.faces(),
-                indices: &mut self.indices[range.clone()],
-                values: &mut self.values[range],
-                mass,
-            };
-            let closed = match around.len() {
-                0 => Some(0.0),
-                1..=8 if D > 0 => row.closed::<8, D>(points),
-                9..=16 if D > 0 => row.closed::<16, D>(points),
-                _ => None,
-            };
-            edges += match closed {
-                Some(lengths) => lengths,
-                None => row.open(self.mesh, &mut work)?,
-            };
+        for block in (0..count).step_by(BLOCK) {
+            let vertices = self.first + block..self.first + (block + BLOCK).min(count);
+            // loads that wait for nothing but memory, many at a time
+            triangles.clear();
+            triangles.extend(self.corners.of_run(vertices.clone()).iter().map(|&corner| self.mesh.faces()[corner as usize / 3]));
+            if D > 0 {
+                positions.clear();
+                positions.extend(triangles.iter().map(|face: &[u32; 3]| face.map(|id| points[id as usize])));
+            }
+            let mut at = 0;
+            for vertex in vertices {
+                let around = self.corners.of(vertex);
+                let range = self.starts[vertex] - before..self.starts[vertex + 1] - before;
+                let here = at..at + around.len();
+                at = here.end;
+                let mut row = Row {
+                    vertex: vertex as u32,
+                    around,
+                    faces: &triangles[here.clone()],
+                    indices: &mut self.indices[range.clone()],
+                    values: &mut self.values[range],
+                    mass: &mut self.mass[vertex - self.first],
+                };
+                let closed = match around.len() {
+                    0 => Some(0.0),
+                    1..=8 if D > 0 => row.closed::<8, D>(&positions[here]),
+                    9..=16 if D > 0 => row.closed::<16, D>(&positions[here]),
+                    _ => None,
+                };
+                edges += match closed {
+                    Some(lengths) => lengths,
+                    None => row.open(self.mesh, &mut work)?,
+                };
+            }
         }
         Some(edges)
     }
@@ -288,6 +304,7 @@ impl Fans<'_> {
 /// A row to be filled.
 struct Row<'a> {
     vertex: u32,
+    /// Corners that lie on the vertex, and the vertices of their triangles.
     around: &'a [u32],
     faces: &'a [[u32; 3]],
     indices: &'a mut [u32],
@@ -300,7 +317,7 @@ impl Row<'_> {
     /// The lengths of the edges to its neighbours; none if it is not so. N triangles are measured side by side, with the very
     /// operations of [`measured`], so that both rows of an edge get the same sum; and without branches that depend on the mesh.
     #[inline(always)]
-    fn closed<const N: usize, const D: usize>(&mut self, points: &[[f64; D]]) -> Option<f64> {
+    fn closed<const N: usize, const D: usize>(&mut self, positions: &[[[f64; D]; 3]]) -> Option<f64> {
         let size = self.around.len();
         if size + 1 != self.indices.len() {
             return None;
@@ -309,10 +326,9 @@ impl Row<'_> {
         let mut x = [[[0.0; N]; D]; 3];
         (x[1][0], x[2][1]) = ([1.0; N], [1.0; N]);
         let (mut nexts, mut lasts, mut ats) = ([u32::MAX; N], [u32::MAX; N], [0u64; N]);
-        for (lane, &corner) in self.around.iter().enumerate().take(N) {
-            let (face, at) = (self.faces[corner as usize / 3], corner as usize % 3);
-            for (x, &id) in x.iter_mut().zip(&face) {
-                let point = &points[id as usize];
+        for (lane, ((&corner, face), triangle)) in self.around.iter().zip(self.faces).zip(positions).enumerate().take(N) {
+            let at = corner as usize % 3;
+            for (x, point) in x.iter_mut().zip(triangle) {
                 for (x, &coordinate) in x.iter_mut().zip(point) {
                     x[lane] = coordinate;
                 }
@@ -378,10 +394,9 @@ impl Row<'_> {
         work.clear();
         work.push((self.vertex, 0.0));
         *self.mass = 0.0;
-        for &corner in self.around {
-            let (number, at) = (corner as usize / 3, corner as usize % 3);
-            let (next, last) = NEIGHBORS[at];
-            let (face, found) = (self.faces[number], mesh.at_corners(number, measured));
+        for (&corner, face) in self.around.iter().zip(self.faces) {
+            let (next, last) = NEIGHBORS[corner as usize % 3];
+            let found = mesh.at_corners(corner as usize / 3, measured);
             if !found.usable() {
                 return None;
             }
