@@ -406,6 +406,7 @@ def _sphere_options(parser: argparse.ArgumentParser) -> None:
     _output(parser)
     parser.add_argument("--method", choices=("fast", "cayley", "preconditioned_cayley"), default="fast")
     parser.add_argument("--fill-holes", action="store_true", help="close the holes of a mesh for the map")
+    parser.add_argument("--no-check-genus", action="store_true", help="map a cloud even where it does not look like a sphere")
     parser.add_argument("--show", choices=("checkerboard", "angle_error", "conformal_factor"), default="checkerboard", help="in pictures")
     parser.add_argument("--on", choices=("shape", "sphere"), default="shape", help="what pictures show")
     _cloud_options(parser)
@@ -416,7 +417,8 @@ def sphere(options: Options) -> int:
     check_outputs(options)
     shape, look = _distinct(options), _looks(options)
     bar = Bar("spherical map")
-    found = bt.spherical_map(shape, method=options.method, fill_holes=options.fill_holes, progress=bar)
+    check = not options.no_check_genus
+    found = bt.spherical_map(shape, method=options.method, fill_holes=options.fill_holes, check_genus=check, progress=bar)
     error = np.degrees(found.angle_error)
     table(
         [

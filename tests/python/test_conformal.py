@@ -207,6 +207,39 @@ def test_clouds_are_mapped_as_well_as_meshes(spot: bt.SphericalMapResult) -> Non
     assert angles[1] < 1.3 * angles[0]
 
 
+def sampled(mesh: bt.TriangleMesh, count: int, noise: float, seed: int) -> bt.PointCloud:
+    """Points spread by area, with noise in shares of the diagonal."""
+    rng = np.random.default_rng(seed)
+    faces = mesh.faces[rng.choice(len(mesh.faces), count, p=bt.operators(mesh).element_areas / mesh.area)]
+    points = np.einsum("nk,nkd->nd", rng.dirichlet(np.ones(3), count), mesh.vertices[faces])
+    return bt.PointCloud(points + noise * np.linalg.norm(np.ptp(points, axis=0)) * rng.normal(size=points.shape))
+
+
+def test_clouds_of_higher_genus_and_open_ones_are_refused() -> None:
+    torus, wide = bt.shapes.torus(rows=60, columns=30), bt.shapes.torus(1.0, 0.7, rows=60, columns=40)
+    cases = [(torus, 2000, 0.0), (torus, 3000, 0.005), (wide, 2000, 0.0), (bt.shapes.figure_eight(), 4000, 0.0)]
+    cases += [(bt.shapes.knot(), 3000, 0.0), (bt.shapes.triple_torus(), 5000, 0.003)]
+    for seed, (mesh, count, noise) in enumerate(cases):
+        cloud = sampled(mesh, count, noise, seed)
+        with pytest.raises(bt.TopologyError, match="genus"):
+            bt.spherical_map(cloud)
+    assert bt.spherical_map(cloud, check_genus=False).positions.shape == cloud.points.shape
+    ball = bt.shapes.sphere(4)
+    for top, noise in ((-0.5, 0.0), (0.0, 0.003), (0.5, 0.0)):
+        with pytest.raises(bt.TopologyError, match="is open"):
+            bt.spherical_map(sampled(ball.submesh(ball.vertices[:, 2] < top), 2000, noise, 3))
+
+
+def test_clouds_of_spheres_are_not_refused() -> None:
+    shapes = [bt.examples.spot(), bt.shapes.star(), bt.shapes.y(), bt.shapes.ellipsoid(3, 0.5, 0.2, level=4)]
+    for seed, mesh in enumerate(shapes):
+        for count, noise in ((700, 0.0), (3000, 0.005), (2000, 0.01)):
+            r = bt.spherical_map(sampled(mesh, count, noise, seed))
+            assert not any("genus" in note for note in r.notes)
+    # Vertices of a mesh with long triangles: a tenth of the points is no boundary, though many stars are open.
+    bt.spherical_map(bt.PointCloud(bt.shapes.ellipsoid(1.0, 0.15, 0.15, level=4).vertices))
+
+
 def corner_angles(mesh: bt.TriangleMesh) -> np.ndarray:
     p = mesh.vertices[mesh.faces]
     found = []
@@ -235,6 +268,8 @@ def test_what_is_no_sphere_is_refused_with_its_characteristic() -> None:
         bt.spherical_map(bt.PointCloud(bt.shapes.torus(rows=60, columns=30).vertices))
     with pytest.raises(bt.TopologyError, match="boundary"):
         bt.spherical_map(bt.PointCloud(bt.shapes.disc().vertices))
+    with pytest.raises(bt.TopologyError, match="2 components"):
+        bt.spherical_map(bt.PointCloud(two.vertices))
     with pytest.raises(bt.InputError, match="other units"):
         bt.spherical_map(bt.TriangleMesh(sphere.vertices * 1e-152, sphere.faces))
     for wrong in ({"method": "magic"}, {"tolerance": 0}, {"max_iterations": 0}):
