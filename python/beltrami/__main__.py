@@ -768,7 +768,7 @@ def _skeleton_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)
     parser.add_argument("-o", "--out", action="append", metavar="OUT", help=".swc (trees), .obj (lines), .npz, .png or .html; repeatable")
-    parser.add_argument("--function", help="eigenfunction (the default), geodesic, or a field of the file or a file of numbers")
+    parser.add_argument("--function", help="eigenfunction, eccentricity, geodesic, or a field of the file or a file of numbers")
     parser.add_argument("--source", type=int, help="the vertex that --function geodesic measures from")
     parser.add_argument("--shortest-limb", type=float, default=0.04, help="limbs below this share of the function's length are cut (0.04)")
     parser.add_argument("--remove-outliers", action="store_true", help="clouds: leave out points far from their neighbours")
@@ -783,7 +783,7 @@ def skeleton(options: Options) -> int:
             raise InputError(f"{name}: a skeleton can be written to .swc, .obj, .npz, .png or .html")
     shape, look = _distinct(options), _looks(options)
     function: Any = options.function
-    if function not in (None, "eigenfunction", "geodesic"):
+    if function not in (None, "eigenfunction", "eccentricity", "geodesic"):
         function, _ = _values(function, shape)
     r = bt.skeleton(
         shape,

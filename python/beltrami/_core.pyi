@@ -65,12 +65,15 @@ __all__ = [
     "normals",
     "num_threads",
     "oriented_faces",
+    "oriented_normals",
     "orthogonal_functional_map",
     "paint",
+    "plane_fits",
     "png",
     "poisson_disc",
     "polar",
     "save_file",
+    "sectors",
     "set_num_threads",
     "sliced_distance",
     "spectral_point_maps",
@@ -246,6 +249,23 @@ def nearest_rows(points: Floats, queries: Floats, progress: Callable[[float], ob
 def neighbors_within(
     points: Floats, queries: Floats, radius: float, progress: Callable[[float], object] | None = None
 ) -> tuple[npt.NDArray[np.int64], Ints, Floats]: ...
+def oriented_normals(
+    points: Floats, fitted: int, linked: int, progress: Callable[[float], object] | None = None
+) -> tuple[Floats, float]: ...
+def plane_fits(points: Floats, near: Ints) -> tuple[Floats, Floats, Floats]: ...
+def sectors(
+    points: Floats,
+    starts: npt.NDArray[np.int64],
+    axis: int,
+    places: Floats,
+    tangents: Floats,
+    first: Floats,
+    second: Floats,
+    reach: Floats,
+    thickness: Floats,
+    group: Ints,
+    directions: int,
+) -> Floats: ...
 
 # register
 _Spectral = tuple[Floats, Floats, Floats]

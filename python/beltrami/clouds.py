@@ -345,8 +345,9 @@ def _usable_normals(cloud: PointCloud) -> tuple[Floats | None, tuple[str, ...]]:
     count, space = cloud.points.shape
     if cloud.normals is None or space != cloud.dimension + 1 or count < 7:
         return None, ()
-    indices, _ = nearest_neighbors(cloud.points, cloud.points, 7)
-    opposed = float((np.einsum("nd,nkd->nk", cloud.normals, cloud.normals[indices[:, 1:]]) < 0).mean())
+    sample = slice(None, None, max(1, count // 4000))
+    indices, _ = nearest_neighbors(cloud.points, cloud.points[sample], 7)
+    opposed = float((np.einsum("nd,nkd->nk", cloud.normals[sample], cloud.normals[indices[:, 1:]]) < 0).mean())
     if opposed > 0.4:  # a half where signs are random
         return None, (f"normals were not used: {100 * opposed:.0f} % of those of near neighbours point the other way",)
     return cloud.normals, ()

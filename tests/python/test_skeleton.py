@@ -8,8 +8,8 @@ from pathlib import Path
 import beltrami as bt
 import numpy as np
 import pytest
+from beltrami import _core
 from beltrami.__main__ import main
-from beltrami.skeleton.complexes import _oriented
 from scipy.spatial import cKDTree
 
 Points = np.ndarray
@@ -111,7 +111,7 @@ def test_parts_a_spacing_apart_are_told_apart_by_normals() -> None:
     """Two parallel tubes joined at one end: the gap is 0.6 of a radius, the points' spacing 0.4."""
     hairpin = [np.array([(-1.3, 0, 0), (-1.3, 6, 0)]), np.array([(-1.3, 0, 0), (1.3, 0, 0)]), np.array([(1.3, 0, 0), (1.3, 6, 0)])]
     points, tree = tube(hairpin, 1.0, 1500, np.random.default_rng(3))
-    normals, seam = _oriented(points)
+    normals, seam = _core.oriented_normals(points, 8, 13)
     outward = points - tree.data[tree.query(points)[1]]
     assert (np.einsum("nd,nd->n", normals, outward) > 0).mean() > 0.99
     assert seam < 0.005
@@ -125,6 +125,35 @@ def test_other_functions() -> None:
     assert r.cycles == 2
     assert r.function[5] == pytest.approx(0.0, abs=1e-6)
     assert bt.skeleton(mesh, function="geodesic").cycles == 2
+
+
+def test_legs_that_the_first_eigenfunction_runs_past_are_found() -> None:
+    """Spot's legs make no extrema along the axis from head to tail."""
+    spot = bt.examples.spot()
+    r = bt.skeleton(spot)
+    assert (r.leaves, r.cycles) == (5, 0)
+    assert any("runs past 3 limbs" in note for note in r.notes)
+    feet = np.flatnonzero(spot.vertices[:, 1] < np.quantile(spot.vertices[:, 1], 0.03))
+    assert len(np.unique(r.limb_of_point[feet])) == 4
+    assert bt.skeleton(spot, function="eigenfunction").leaves == 2
+    cloud = bt.skeleton(bt.PointCloud(spot.vertices))
+    assert len(np.unique(cloud.limb_of_point[feet])) == 4
+
+
+def test_the_eccentricity_sees_every_limb_and_needs_some() -> None:
+    points, _ = tube(arms((-3, 0, 0), (3, 0, 0), (-1.5, 2.5, 0), (1.5, -2.5, 0), (0, 0, 2)), 0.3, 4000, np.random.default_rng(3))
+    r = bt.skeleton(bt.PointCloud(points), function="eccentricity")
+    assert (r.leaves, r.cycles) == (5, 0)
+    assert r.function.argmin() in np.argsort(np.linalg.norm(points, axis=1))[:400]  # it is least in the middle
+    assert bt.skeleton(bt.shapes.figure_eight(), function="eccentricity").cycles == 2
+    # of a tetrahedron it is constant
+    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    solid = bt.TriangleMesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    torus = bt.shapes.torus(1.0, 0.3)
+    both = bt.TriangleMesh(np.concatenate([torus.vertices, corners + 9]), np.concatenate([torus.faces, solid.faces + len(torus.vertices)]))
+    r = bt.skeleton(both, function="eccentricity")
+    assert np.isfinite(r.nodes).all()
+    assert any("constant" in note for note in r.notes)
 
 
 def test_ties_are_broken_by_number() -> None:
@@ -274,6 +303,24 @@ def test_networkx_counts_the_same_loops() -> None:
     assert sum(length for _, _, length in graph.edges(data="length")) == pytest.approx(r.lengths.sum())
 
 
+def test_sectors_are_weighted_means() -> None:
+    rng = np.random.default_rng(11)
+    points = rng.normal(size=(300, 3))
+    points = points[np.argsort(points[:, 1])]
+    place, tangent = 0.2 * rng.normal(size=3), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn = np.arange(24) * np.pi / 12
+    offset = points - place
+    offset = offset[(np.abs(offset @ tangent[0]) < 0.4) & (np.linalg.norm(offset, axis=1) <= 1.5)]
+    x, y = offset @ tangent[1], offset @ tangent[2]
+    bump = np.exp(24 * ((np.outer(x, np.cos(turn)) + np.outer(y, np.sin(turn))) / np.hypot(x, y)[:, None] - 1))
+    expected = np.where(bump.sum(0) > 0.5, np.hypot(x, y) @ bump / bump.sum(0), -1.0)
+    rows = [np.ascontiguousarray(row[None]) for row in (place, *tangent)]
+    one = np.ones(1)
+    found = _core.sectors(points, np.array([0, 300]), 1, *rows, 1.5 * one, 0.4 * one, np.zeros(1, np.int32), 24)[0]
+    assert found == pytest.approx(expected, rel=1e-3)  # points beyond 60 degrees count below exp(-12)
+    assert (found > 0).sum() > 12
+
+
 # --- files and the command line --------------------------------------------------------------------------------------------------------
 
 
@@ -328,7 +375,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         ({"function": np.zeros(2400)}, "constant"),
         ({"function": np.full(2400, np.nan)}, "nan"),
         ({"function": np.zeros(3)}, "shape"),
-        ({"function": "heigth"}, "choose"),
+        ({"function": "heigth"}, "choose 'eigenfunction', 'eccentricity'"),
         ({"source": 3}, "geodesic"),
         ({"function": "geodesic", "source": 2400}, "source"),
         ({"shortest_limb": -1.0}, "shortest_limb"),

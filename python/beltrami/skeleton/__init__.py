@@ -29,6 +29,7 @@ __all__ = ["SkeletonResult", "skeleton"]
 
 MULTIPLE = 1.15  # eigenvalues up to this factor of the first count as copies of it
 IDLE = 0.05  # share of the area with slopes below a tenth of the mean, beyond which another eigenfunction may be added
+VARIED = 0.5  # of its mean: the least range of an eccentricity that says something; .16 on spheres, .9 to 12 where there are limbs
 GAIN = 1.35  # in the mean logarithm of squared slopes that justifies it: 1.5 to 3 for limbs in the nodal set, up to 1.3 else
 
 
@@ -63,7 +64,7 @@ class SkeletonResult:
     function : ndarray (n,)
         What the levels are of.
     eigenvalues : ndarray
-        The first eigenvalues of the (first) piece if the function is an eigenfunction; else empty.
+        The first eigenvalues of the (first) piece if the function is made of eigenfunctions; else empty.
     critical : tuple of int
         Minima, saddles (with multiplicity) and maxima of the function. On closed meshes minima - saddles + maxima is the Euler
         characteristic; (0, 0, 0) for clouds.
@@ -235,7 +236,7 @@ class SkeletonResult:
 def skeleton(
     shape: Shape | Operators,
     *,
-    function: npt.ArrayLike | Literal["eigenfunction", "geodesic"] | None = None,
+    function: npt.ArrayLike | Literal["eigenfunction", "eccentricity", "geodesic"] | None = None,
     source: int | None = None,
     components: bool = True,
     shortest_limb: float = 0.04,
@@ -253,8 +254,10 @@ def skeleton(
     shape : TriangleMesh, PointCloud or Operators
         A surface. Clouds may be noisy (a note says what was done about it); thin parts near each other are told apart by normals, which
         are found if the cloud has none.
-    function : array_like (n,), "eigenfunction" or "geodesic", optional
-        Another function: a height, a distance. "geodesic" is the distance from ``source``.
+    function : array_like (n,), "eigenfunction", "eccentricity" or "geodesic", optional
+        What the levels are of: the first eigenfunction; the eccentricity, which is greatest at the tips of all limbs; the geodesic distance
+        from ``source``; or numbers, such as a height. Without it the first eigenfunction, or the eccentricity if limbs stand out that the
+        eigenfunction runs past (the legs of an animal that lies between head and tail); a note says so.
     source : int, optional
         Vertex for ``function="geodesic"``; without it where the first eigenfunction is greatest.
     components : bool
@@ -284,6 +287,10 @@ def skeleton(
     vertices, so that the loops are the handles of a closed oriented surface. Limbs are cut by length, loops never. On clouds loops
     that the sampling makes are cancelled: one side thinner than the sampling shows, or an arc and no ring. ``cancelled`` and
     ``stability`` say how sure that is.
+
+    The eccentricity of a point is its mean squared biharmonic distance from all points, without the constant: the sum of φ_k² / λ_k² over
+    the first six eigenfunctions. A limb stands out if it is longer than 8 % of the square root of the area, from where it leaves the
+    body to its tip, and more than 2.5 % of the function high.
 
     Where eigenvalues up to 15 % above the first make a multiple one, the combination is taken whose slope varies least over the
     surface, and a note says so.
@@ -331,15 +338,13 @@ def skeleton(
         members = np.flatnonzero(labels == name)
         piece = complex_ if len(members) == len(labels) else _restricted(complex_, members)
         if values is None:
-            f, found = _first_function(piece, notes, part(report, 0.4, 0.7))
+            f, cut, found = _intrinsic(piece, function, shortest_limb, notes, report)
             if name == 0:
                 eigenvalues = found
             function_out[piece.origin] = f
         else:
-            f = np.ascontiguousarray(values[piece.origin])
-        if not f.max() / 2 - f.min() / 2 > 0:
-            raise InputError("the function is constant on a connected piece of the shape; hand in one that varies")
-        parts.append(_one(piece, f, given, shortest_limb, notes, part(report, 0.7, 0.9)))
+            cut = _cut(piece, np.ascontiguousarray(values[piece.origin]), shortest_limb, part(report, 0.7, 0.9))
+        parts.append(_one(piece, cut, given, notes))
     return _assembled(given, complex_, labels, parts, function_out, eigenvalues, notes)
 
 
@@ -365,13 +370,37 @@ class _Evenness:
         return float(self.share @ np.log(np.maximum(squares, 0) + 1e-6 * squares.mean()))
 
 
-def _first_function(complex_: Complex, notes: list[str], report: Any) -> tuple[Floats, Floats]:
-    """φ_1 of a connected complex, and the eigenvalues. Of a multiple λ_1 the combination that changes most evenly; and where a limb
-    lies in the set where φ_1 vanishes (the stem of a T), with an admixture of another eigenfunction that changes along it."""
+def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: list[str], report: Any) -> tuple[Floats, _Cut, Floats]:
+    """The first eigenfunction of a connected complex or its eccentricity, the graph of it, and the eigenvalues.
+
+    If none is asked for: the eigenfunction, unless limbs stand out that it runs past.
+    """
     count = min(7, len(complex_.mass))
     matrix = arrays.csr_in(complex_.stiffness, "the stiffness")
-    pairs = _core.eigenpairs(matrix, complex_.mass, None, count, None, complex_.points, None, report)
+    pairs = _core.eigenpairs(matrix, complex_.mass, None, count, None, complex_.points, None, part(report, 0.4, 0.7))
     values, functions = pairs[0][1:], pairs[1][:, 1:]
+    centric = ((functions / values) ** 2).sum(1)
+    varied = np.ptp(centric) / centric.mean()
+    if function == "eccentricity" and varied > 1e-6:
+        return centric, _cut(complex_, centric, shortest_limb, part(report, 0.7, 0.9)), values
+    said: list[str] = []
+    first = _first_function(complex_, values, functions, said)
+    cut = _cut(complex_, first, shortest_limb, part(report, 0.7, 0.8))
+    if function == "eccentricity":
+        notes.append("the eccentricity is constant on a piece; its first eigenfunction was taken")
+    if function is None and varied > VARIED:
+        other = _cut(complex_, centric, shortest_limb, part(report, 0.8, 0.9))
+        missed = other.simple.beyond(cut.simple, float(np.sqrt(complex_.mass.sum())))
+        if missed and len(other.simple.tips()) > len(cut.simple.tips()):
+            notes.append(f"the first eigenfunction runs past {missed} limbs, so the eccentricity was taken")
+            return centric, other, values
+    notes += said
+    return first, cut, values
+
+
+def _first_function(complex_: Complex, values: Floats, functions: Floats, notes: list[str]) -> Floats:
+    """φ_1 of a connected complex. Of a multiple λ_1 the combination that changes most evenly; and where a limb lies in the set where φ_1
+    vanishes (the stem of a T), with an admixture of another eigenfunction that changes along it."""
     copies = int((values <= MULTIPLE * values[0]).sum())
     even = _Evenness(complex_)
     found = functions[:, 0]
@@ -392,7 +421,8 @@ def _first_function(complex_: Complex, notes: list[str], report: Any) -> tuple[F
             what = f"{tries[best][0]} times eigenfunction {tries[best][1] + 1} was added"
             notes.append(f"the eigenfunction is nearly constant on {100 * idle:.0f} % of the surface: {what}")
     sign = 1.0 if found[np.argmax(np.abs(found))] > 0 else -1.0
-    return sign * found, values
+    oriented: Floats = sign * found
+    return oriented
 
 
 def _most_even(even: _Evenness, space: Floats) -> Floats:
@@ -428,8 +458,8 @@ def _most_even(even: _Evenness, space: Floats) -> Floats:
 
 def _values(given: Shape, function: Any, source: int | None, count: int, report: Any) -> Floats | None:
     if isinstance(function, str):
-        if function not in ("eigenfunction", "geodesic"):
-            raise InputError(f"function is {function!r}; choose 'eigenfunction', 'geodesic' or give an array")
+        if function not in ("eigenfunction", "eccentricity", "geodesic"):
+            raise InputError(f"function is {function!r}; choose 'eigenfunction', 'eccentricity', 'geodesic' or give an array")
         if function == "geodesic":
             from ..geodesic import geodesic_distance
 
@@ -503,26 +533,41 @@ class _Part:
     counts: tuple[int, int, int]
 
 
-def _one(complex_: Complex, values: Floats, shape: Shape, shortest_limb: float, notes: list[str], report: Any) -> _Part:
+@dataclass
+class _Cut:
+    graph: ReebGraph
+    simple: SimplifiedGraph
+    counts: tuple[int, int, int]
+    exact: bool
+    cancelled: list[float]
+    kept: list[float]
+
+
+def _cut(complex_: Complex, values: Floats, shortest_limb: float, report: Any) -> _Cut:
+    """The Reeb graph of a function, whole and without stubs."""
     middle, half = values.max() / 2 + values.min() / 2, values.max() / 2 - values.min() / 2
+    if not half > 0:
+        raise InputError("the function is constant on a connected piece of the shape; hand in one that varies")
     graph, length, step, counts, exact = reeb_graph(complex_, (values - middle) / half, report)  # from -1 to 1: no scale is too large
-    if not exact:
-        notes.append(f"the function has {sum(counts)} critical vertices, too many for a level between any two: loops may be missing")
     cancelled = [] if complex_.is_mesh else graph.cancel_loops(complex_.spacing, step)
     kept = [loop[0] for loop in graph.loops()]
     simple = SimplifiedGraph(graph)
     simple.prune(shortest_limb * length)
     simple.contract()
+    return _Cut(graph, simple, counts, exact, cancelled, kept)
+
+
+def _one(complex_: Complex, cut: _Cut, shape: Shape, notes: list[str]) -> _Part:
+    graph, simple = cut.graph, cut.simple
+    if not cut.exact:
+        notes.append(f"the function has {sum(cut.counts)} critical vertices, too many for a level between any two: loops may be missing")
     drawing = draw(simple, complex_.spacing, isinstance(shape, TriangleMesh) and not shape.is_closed)
-    first = np.full(graph.regions, -1)
-    first[graph.group_below] = np.arange(len(graph.group_below))
-    first[graph.group_above] = np.arange(len(graph.group_above))
-    owners = drawing.node_of_group[first[graph.region_label[graph.region]]]
+    owners = drawing.node_of_group[graph.group_of_vertex()]
     owners = descended(drawing, complex_.points, owners)
     if complex_.points.shape[1] == 3:
         center(drawing, section_of(complex_, drawing, owners, shape))
         owners = descended(drawing, complex_.points, owners)
-    return _Part(drawing, graph, owners, simple.cut, cancelled, kept, counts)
+    return _Part(drawing, graph, owners, simple.cut, cut.cancelled, cut.kept, cut.counts)
 
 
 def _ordered(points: Floats, center: Floats) -> Floats:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
+from .. import _core
 from ..arrays import Floats, Ints
 from ..near import intersect_rays, nearest_neighbors
 from ..shapes import PointCloud, Shape, TriangleMesh
@@ -188,11 +187,14 @@ class Section:
         else:  # the points themselves, also those that were too noisy for the complex
             self.points = complex_.sources
             nearest = owners if len(owners) == len(self.points) else owners[nearest_neighbors(complex_.points, self.points, 1)[0][:, 0]]
-            self.trees: dict[int, tuple[Floats, Any]] = {}
-            for number, chain in enumerate(drawing.chains):
-                mine = self.points[np.isin(nearest, chain)]
-                if len(mine):
-                    self.trees[number] = (mine, scipy.spatial.cKDTree(mine))
+            # the points of each limb, along the axis in which the shape is longest; those of a joint count for all of its limbs
+            self.axis = int(np.argmax(np.ptp(self.points, axis=0)))
+            order = np.lexsort((self.points[:, self.axis], nearest))
+            bounds = np.searchsorted(nearest[order], np.arange(len(drawing.nodes) + 1))
+            limbs = [np.concatenate([order[bounds[node] : bounds[node + 1]] for node in set(chain)]) for chain in drawing.chains]
+            limbs = [limb[np.argsort(self.points[limb, self.axis], kind="stable")] for limb in limbs]
+            self.starts = np.cumsum([0, *map(len, limbs)])
+            self.grouped = np.ascontiguousarray(self.points[np.concatenate(limbs)])
 
     def holds(self, x: Floats) -> npt.NDArray[np.bool_]:
         """Which points lie inside the mesh: most rays in six directions leave it."""
@@ -211,35 +213,19 @@ class Section:
 
     def __call__(self, x: Floats, tangents: Floats, widths: Floats, chains: Ints) -> tuple[Floats, Floats, Floats]:
         """Distances (k, directions), and the two vectors that the directions turn from and to. ``chains``: the limb of each node."""
+        tangents = np.where(tangents.any(axis=1, keepdims=True), tangents, np.eye(3)[:1])  # of nodes at one place: any
         u, v = self.frames(tangents)
         if self.mesh is None:
-            return self._sectors(x, tangents, u, v, widths, chains), u, v
+            # each direction sees the points of the limb near the plane, weighted by a bump of two sectors: contours have few points
+            thickness = np.maximum(0.35 * widths, self.spacing)
+            places = (np.ascontiguousarray(x), np.ascontiguousarray(tangents), u, v)
+            found = _core.sectors(self.grouped, self.starts, self.axis, *places, 2.0 * widths, thickness, chains, DIRECTIONS)
+            return np.where(found < 0, np.nan, found), u, v
         directions = np.cos(self.turn)[None, :, None] * u[:, None] + np.sin(self.turn)[None, :, None] * v[:, None]
         flat = directions.reshape(-1, 3)
         hits = intersect_rays(self.mesh, np.repeat(x, DIRECTIONS, axis=0), flat)
         outward = self.side * np.einsum("rd,rd->r", self.normals[hits.faces], flat) > 0
         return np.where((hits.faces >= 0) & outward, hits.distances, np.nan).reshape(len(x), DIRECTIONS), u, v
-
-    def _sectors(self, x: Floats, tangents: Floats, u: Floats, v: Floats, widths: Floats, chains: Ints) -> Floats:
-        """Each direction sees the points of the limb near the plane, weighted by a bump of two sectors: contours have few points."""
-        distances = np.full((len(x), DIRECTIONS), np.nan)
-        directions = np.stack([np.cos(self.turn), np.sin(self.turn)])
-        for chain in np.unique(chains).tolist():
-            if chain not in self.trees:
-                continue
-            points, tree = self.trees[chain]
-            here = np.flatnonzero(chains == chain)
-            for node, near in zip(here.tolist(), tree.query_ball_point(x[here], 2.0 * widths[here]), strict=True):
-                offset = points[near] - x[node]
-                offset = offset[np.abs(offset @ tangents[node]) < max(0.35 * widths[node], self.spacing)]
-                if len(offset) < 6:
-                    continue
-                flat = np.stack([offset @ u[node], offset @ v[node]], 1)
-                reach = np.linalg.norm(flat, axis=1)
-                bump = np.exp(24.0 * (flat @ directions / np.maximum(reach, 1e-300)[:, None] - 1.0))
-                total = bump.sum(0)
-                distances[node] = np.where(total > 0.5, reach @ bump / np.maximum(total, 1e-300), np.nan)
-        return distances
 
 
 def center(drawing: Drawing, section: Section | None) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from .. import _core
 from ..arrays import Floats, Ints
 from ..clouds import CloudOperators
 from ..near import nearest_neighbors
@@ -64,18 +65,7 @@ def mesh_complex(ops: Operators) -> Complex:
 
 def _plane_fits(points: Floats, queries: Floats, count: int) -> tuple[Floats, Floats, Floats]:
     """Mean of the neighbours of each query, direction in which they vary least, share of the variance along it."""
-    indices, _ = nearest_neighbors(points, queries, count)
-    means, normals, shares = np.empty_like(queries), np.empty_like(queries), np.empty(len(queries))
-    for start in range(0, len(queries), 4096):  # so that memory stays small
-        here = slice(start, start + 4096)
-        near = points[indices[here]]
-        means[here] = near.mean(1)
-        near = near - means[here, None]
-        near /= np.maximum(np.abs(near).max((1, 2), keepdims=True), 1e-300)  # squares of very large shapes overflow
-        values, vectors = np.linalg.eigh(np.matmul(near.transpose(0, 2, 1), near))
-        normals[here] = vectors[:, :, 0]
-        shares[here] = values[:, 0] / np.maximum(values.sum(1), 1e-300)
-    return means, normals, shares
+    return _core.plane_fits(points, nearest_neighbors(points, queries, count)[0])
 
 
 def _denoised(points: Floats) -> tuple[Floats, Indices, int]:
@@ -111,57 +101,9 @@ def _denoised(points: Floats) -> tuple[Floats, Indices, int]:
     return np.ascontiguousarray(moved[apart]), kept[apart], neighbors
 
 
-def _oriented(points: Floats) -> tuple[Floats, float]:
-    """Normals oriented alike, and the share of tangential edges across which they are not.
-
-    Signs are carried by reflection (Hoppe et al. 1992) along a minimum spanning forest that prefers edges within the surface: edges
-    across a gap between two parts, or through a thin part, come last.
-    """
-    count = len(points)
-    indices, _ = nearest_neighbors(points, points, min(13, count))
-    _, normals, shares = _plane_fits(points, points, min(8, count))
-    pairs = np.stack([np.repeat(np.arange(count), indices.shape[1] - 1), indices[:, 1:].ravel()], 1)
-    pairs = unique_edges(pairs[pairs[:, 0] != pairs[:, 1]])
-    i, j = pairs.T
-    along = points[j] - points[i]
-    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
-    a, b = np.einsum("ed,ed->e", along, normals[i]), np.einsum("ed,ed->e", along, normals[j])
-    same = np.einsum("ed,ed->e", normals[i], normals[j])
-    reflected = same - 2 * a * b
-    steep = np.maximum(a * a, b * b)
-    cost = 1 - np.abs(reflected) + steep + 3 * (shares[i] + shares[j]) + 1e-6
-    forest = scipy.sparse.csgraph.minimum_spanning_tree(scipy.sparse.coo_array((cost, (i, j)), shape=(count, count)).tocsr()).tocoo()
-    p, q = forest.coords
-    along = points[q] - points[p]
-    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
-    turn = np.einsum("ed,ed->e", normals[p], normals[q])
-    turn -= 2 * np.einsum("ed,ed->e", along, normals[p]) * np.einsum("ed,ed->e", along, normals[q])
-    tree = scipy.sparse.coo_array((np.ones(2 * len(p)), (np.r_[p, q], np.r_[q, p])), shape=(count, count)).tocsr()
-    pieces, labels = scipy.sparse.csgraph.connected_components(tree, directed=False)
-    signs = np.ones(count)
-    for piece in range(pieces):
-        members = np.flatnonzero(labels == piece)
-        away = points[members] - points[members].mean(0)
-        root = members[np.argmax(np.einsum("nd,nd->n", away, away))]
-        order, before = scipy.sparse.csgraph.breadth_first_order(tree, root, directed=False)
-        mine = labels[p] == piece
-        child = np.where(before[p] == q, p, q)[mine]
-        kept = np.ones(count)
-        kept[child] = np.where(turn[mine] < 0, -1.0, 1.0)
-        found, factor = signs.tolist(), kept.tolist()
-        found[root] = 1.0 if normals[root] @ (points[root] - points[members].mean(0)) >= 0 else -1.0
-        for number, parent in zip(order[1:].tolist(), before[order[1:]].tolist(), strict=True):
-            found[number] = found[parent] * factor[number]
-        signs = np.asarray(found)
-    flat = (steep < 0.1) & (np.abs(same) > 0.8)
-    seam = float(((signs[i] * signs[j] * same < 0) & flat).sum() / max(flat.sum(), 1))
-    return normals * signs[:, None], seam
-
-
 def cloud_complex(cloud: PointCloud, notes: list[str], report: Any) -> Complex:
     """Edges of the local mesh, with the sides of thin parts and near parts told apart by oriented normals where they can be found."""
-    _, first = np.unique(cloud.points, axis=0, return_index=True)
-    origin = np.sort(first)
+    origin = np.flatnonzero(_core.first_copies(cloud.points))
     if len(origin) < len(cloud.points):
         notes.append(f"{len(cloud.points) - len(origin)} points are copies of others")
     given = cloud.points[origin]
@@ -174,7 +116,7 @@ def cloud_complex(cloud: PointCloud, notes: list[str], report: Any) -> Complex:
         if cloud.normals is not None and not neighbors:
             normals = cloud.normals[origin]
         else:
-            normals, seam = _oriented(points)
+            normals, seam = _core.oriented_normals(points, 8, 13)
             if seam > 0.005:
                 normals = None
                 notes.append(f"normals could not be oriented ({100 * seam:.1f} % of neighbours disagree): near parts may join")

@@ -16,6 +16,10 @@ from .complexes import Complex, Indices, sides, unique_edges
 
 LEVELS = 150  # at most, beside those between critical vertices
 CROSSINGS = 5_000_000  # of edges and levels between critical vertices, at most: a function of noise has thousands of levels
+LONG, HIGH = (
+    0.08,
+    0.025,
+)  # of the root of the area, and of the function: limbs that stand out. Spot's legs .11, .14; fingers of men .05, .02
 LIMB = 1.4  # a limb is at least this many times longer than it is wide at its root
 
 
@@ -80,15 +84,21 @@ class ReebGraph:
                 chain.append(int(following[self.group_above[chain[-1]]]))
             self.branches.append(_Branch(int(self.group_below[first]), int(self.group_above[chain[-1]]), chain))
 
-    def tip(self, region: int, group: int) -> Floats:
-        """The point of a region that is farthest in value from the contour beside it."""
+    def tip(self, region: int, group: int) -> int:
+        """The vertex of a region that is farthest in value from the contour beside it; -1 if there is none."""
         inside = self.members[self.bounds[region] : self.bounds[region + 1]]
         if len(inside) == 0:
-            center: Floats = self.centers[group]
-            return center
+            return -1
         away = np.abs(self.values[inside] - self.levels[self.group_cut[group]])
-        farthest: Floats = self.vertices[inside[int(away.argmax())]]
-        return farthest
+        return int(inside[int(away.argmax())])
+
+    def group_of_vertex(self) -> Indices:
+        """A group of contours beside each vertex."""
+        first = np.full(self.regions, -1)
+        first[self.group_below] = np.arange(len(self.group_below))
+        first[self.group_above] = np.arange(len(self.group_above))
+        found: Indices = first[self.region_label[self.region]]
+        return found
 
     def heights(self) -> dict[int, float]:
         """Arc length at each joint: midway between the contours below and those above it."""
@@ -374,9 +384,32 @@ class SimplifiedGraph:
         graph = self.graph
         groups = limb.groups if end == 1 else limb.groups[::-1]
         x, root = graph.centers[groups], groups[0]
-        tip = graph.tip(limb.ends[end], groups[-1])
+        vertex = graph.tip(limb.ends[end], groups[-1])
+        tip = x[-1] if vertex < 0 else graph.vertices[vertex]
         length = float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum() + np.linalg.norm(tip - x[-1]))
         return length, float(np.linalg.norm(tip - x[0]) / max(graph.radii[root], 1e-300))
+
+    def tips(self) -> list[tuple[int, int, int]]:
+        """(limb, which of its ends, vertex) of each tip."""
+        degree = self.degrees()
+        ends = [(number, end) for number, limb in enumerate(self.limbs) for end in (0, 1) if degree[limb.ends[end]] == 1]
+        return [(k, end, self.graph.tip(self.limbs[k].ends[end], self.limbs[k].groups[-end])) for k, end in ends]
+
+    def beyond(self, other: SimplifiedGraph, size: float) -> int:
+        """How many limbs end that ``other``, of the same shape, has no tip in: those that stand out. ``size``: root of the area."""
+        graph = self.graph
+        limb_of_group = np.full(len(graph.centers), -1)
+        for number, limb in enumerate(self.limbs):
+            limb_of_group[limb.groups] = number
+        for group, beside in self.stray:
+            limb_of_group[group] = limb_of_group[beside]
+        limb_of_vertex = limb_of_group[graph.group_of_vertex()]
+        seen = {int(limb_of_vertex[vertex]) for _, _, vertex in other.tips()}
+        found = 0
+        for number, end, _ in self.tips():
+            rise = np.ptp(graph.values[limb_of_vertex == number]) / np.ptp(graph.values)
+            found += number not in seen and rise > HIGH and self.reach(self.limbs[number], end)[0] > LONG * size
+        return found
 
     def prune(self, shortest: float) -> None:
         """Cuts limbs that end, the shortest first: those below ``shortest``, and those less than ``LIMB`` times as long as wide."""

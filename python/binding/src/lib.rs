@@ -48,7 +48,9 @@ mod _core {
     #[pymodule_export]
     use super::mls::moving_least_squares;
     #[pymodule_export]
-    use super::near::{closest_points, intersect_rays, nearest_neighbors, nearest_rows, neighbors_within, normals};
+    use super::near::{
+        closest_points, intersect_rays, nearest_neighbors, nearest_rows, neighbors_within, normals, oriented_normals, plane_fits, sectors,
+    };
     #[pymodule_export]
     use super::operators::{cotangent_operators, divergence, galerkin_mass, gradient, has_positive_weights};
     #[pymodule_export]

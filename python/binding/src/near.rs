@@ -1,10 +1,10 @@
 //! Neighbours, closest points and rays.
 
-use crate::convert::{MeshArrays, table, table_out, vector_out};
+use crate::convert::{MeshArrays, table, table_out, vector, vector_out};
 use crate::error;
 use crate::run;
 use beltrami::near::{self, Bvh, KdTree};
-use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 fn same_dimension(py: Python<'_>, points: usize, queries: usize) -> PyResult<()> {
@@ -131,4 +131,62 @@ pub fn normals<'py>(
     let (points, dimension) = table(&points)?;
     let found = run::watched(py, progress, |control| near::normals(points, dimension, neighbors, control))?;
     table_out(py, found, dimension)
+}
+
+/// Normals oriented alike along edges within the surface, and the share of such edges across which they are not.
+#[pyfunction]
+#[pyo3(signature = (points, fitted, linked, progress=None))]
+pub fn oriented_normals<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    fitted: usize,
+    linked: usize,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<(Bound<'py, PyArray2<f64>>, f64)> {
+    let (points, dimension) = table(&points)?;
+    let found = run::watched(py, progress, |control| near::oriented(points, dimension, fitted, linked, control))?;
+    Ok((table_out(py, found.normals, dimension)?, found.seam))
+}
+
+/// Mean, least axis and its share of the variance of the points in each row of `near`.
+#[pyfunction]
+pub fn plane_fits<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    near: PyReadonlyArray2<'py, i32>,
+) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
+    let ((points, dimension), (near, neighbors)) = (table(&points)?, table(&near)?);
+    let found = run::watched(py, None, |control| near::plane_fits(points, dimension, bytemuck::cast_slice(near), neighbors, control))?;
+    Ok((table_out(py, found.means, dimension)?, table_out(py, found.normals, dimension)?, vector_out(py, found.shares)))
+}
+
+/// Distances (k, directions) of grouped points from places, in sectors of the planes across the tangents; negative where there are none.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "arrays of two structs")]
+pub fn sectors<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'py, f64>,
+    starts: PyReadonlyArray1<'py, i64>,
+    axis: usize,
+    places: PyReadonlyArray2<'py, f64>,
+    tangents: PyReadonlyArray2<'py, f64>,
+    first: PyReadonlyArray2<'py, f64>,
+    second: PyReadonlyArray2<'py, f64>,
+    reach: PyReadonlyArray1<'py, f64>,
+    thickness: PyReadonlyArray1<'py, f64>,
+    group: PyReadonlyArray1<'py, i32>,
+    directions: usize,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let starts: Vec<usize> = vector(&starts)?.iter().map(|&start| start as usize).collect();
+    let grouped = near::Grouped { points: table(&points)?.0, starts: &starts, axis };
+    let planes = near::Planes {
+        places: table(&places)?.0,
+        tangents: table(&tangents)?.0,
+        frames: [table(&first)?.0, table(&second)?.0],
+        reach: vector(&reach)?,
+        thickness: vector(&thickness)?,
+        group: vector(&group)?,
+    };
+    let found = run::watched(py, None, |control| near::sectors(&grouped, &planes, directions, control))?;
+    table_out(py, found, directions)
 }
