@@ -61,7 +61,8 @@ def main() -> None:
             kept[path.stem] = block(path)
             head = (
                 "# Side by side\n\n"
-                "Written by `python benches/results.py [name ...]`: each block is one run of one script, both sides in it; medians where it says so.\n\n"
+                "Written by `python benches/results.py [name ...]`: each block is one run of one script, both sides in it, "
+                "medians where it says so.\n\n"
                 f"Machine: {processor()}, {os.cpu_count()} cores, {platform.system()}. Python {platform.python_version()}, {versions()}.\n"
             )
             RESULTS.write_text("\n".join([head, *(text.strip() + "\n" for _, text in sorted(kept.items()))]))
