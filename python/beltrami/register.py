@@ -21,9 +21,11 @@ import scipy
 
 from . import _core, arrays
 from .arrays import Floats, Ints
+from .clouds import CloudOperators
 from .eigen import eigenpairs
 from .errors import Cancelled, InputError
 from .files import written
+from .inside import closed_surface
 from .maps import coverage
 from .near import nearest_neighbors
 from .operators import Operators, operators
@@ -110,15 +112,49 @@ def _oriented_faces(mesh: TriangleMesh) -> Ints | None:
 
 def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SAMPLES, extrinsic: bool = True) -> Side:
     """What registration computes of one shape alone; collections keep it."""
+    return _side(*_given(shape), None, modes, samples, extrinsic)
+
+
+def readings(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SAMPLES, extrinsic: bool = True) -> list[Side]:
+    """:func:`prepare`; of a cloud that samples a closed surface also as this surface, whose orientation both have.
+
+    Where limbs are thin or touch, the local mesh of a cloud tears or leaks; where the surface is coarse, it is the better one.
+    """
+    whole, ops, single = _given(shape)
+    local = _side(whole, ops, single, None, modes, samples, extrinsic)
+    if isinstance(shape, Operators) or not isinstance(ops, CloudOperators) or ops.shape.dimension != 2 or ops.shape.points.shape[1] != 3:
+        return [local]
+    surface = closed_surface(ops)
+    if surface is None:
+        return [local]
+    closed = operators(TriangleMesh(ops.shape.points, surface), laplacian="tufted")
+    faces = surface if single is None else single[surface].astype(np.int32)
+    return [replace(local, faces=faces), _side(whole, closed, single, faces, modes, samples, extrinsic)]
+
+
+def _given(shape: Shape | Operators) -> tuple[Shape, Operators, npt.NDArray[np.int64] | None]:
+    """The shape, its operators, and the points these are of if a cloud has copies: copies go along with the first of each."""
     whole = shape.shape if isinstance(shape, Operators) else shape
     single: npt.NDArray[np.int64] | None = None
-    if isinstance(shape, PointCloud):  # copies go along with the first of each
+    if isinstance(shape, PointCloud):
         first = _core.first_copies(shape.points)
         if not first.all():
             single = np.flatnonzero(first)
             normals = None if shape.normals is None else shape.normals[single]
             shape = PointCloud(shape.points[single], dimension=shape.dimension, normals=normals)
-    ops = operators(shape)
+    return whole, operators(shape), single
+
+
+def _side(
+    whole: Shape,
+    ops: Operators,
+    single: npt.NDArray[np.int64] | None,
+    faces: Ints | None,
+    modes: int,
+    samples: int,
+    extrinsic: bool,
+) -> Side:
+    """The largest part of what operators are of, with the faces that orient a cloud, if there are any."""
     dimension = ops.shape.dimension if isinstance(ops.shape, PointCloud) else 2
     kept = np.flatnonzero((ops.component_labels == ops.component_masses.argmax()) & (ops.mass > 0))
     if len(kept) < 4:
@@ -140,7 +176,8 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
     if len(main) < len(places):  # what hangs loose goes along with the nearest point of the largest part
         nearest = nearest_neighbors(positions[main], positions, 1)[0][:, 0]
         functions, follows = functions[nearest], main[nearest]
-    faces = _oriented_faces(ops.shape) if isinstance(ops.shape, TriangleMesh) else None
+    if faces is None and isinstance(ops.shape, TriangleMesh):
+        faces = _oriented_faces(ops.shape)
     chosen = main[farthest_points(positions[main], min(samples, len(main)))].astype(np.int32)
     owner = nearest_neighbors(positions[chosen], positions, 1)[0][:, 0]
     stiffness = ops.stiffness
@@ -165,6 +202,14 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
         descriptors=np.zeros((len(mass), 0)),
         embedded=extrinsic and dimension == 2 and positions.shape[1] == 3,
     )
+
+
+def _spectral_gap(source: Side, target: Side) -> float:
+    """How far the spectra are apart: mean difference of the logarithms of the first eigenvalues."""
+    count = min(_TENSOR, source.modes, target.modes)
+    floor = 1e-9 * max(source.values[-1], target.values[-1])
+    first, second = (np.log(np.maximum(side.values[:count], floor)) for side in (source, target))
+    return float(abs(first - second).mean())
 
 
 def _gathered(owner: npt.NDArray[Any], weights: Floats, count: int) -> Floats:
@@ -626,7 +671,8 @@ class RegistrationResult:
     orientation : float
         Agreement of oriented triple products, at most 1; 0 if a shape has no orientation.
     mirror_decided : bool
-        Whether orientation told left and right apart. False for clouds, for faces that cannot be oriented: look at ``candidates``.
+        Whether orientation told left and right apart. A cloud has one if it samples a closed surface in R^3. False for other clouds and
+        for faces that cannot be oriented: look at ``candidates``.
     extrinsic : bool
         Whether positions in R^3 took part (curvature, rigid deformation), and not only what bending keeps.
     positions : (n_source, 3) array or None
@@ -837,6 +883,8 @@ def match(
         loose = int((side.mass == 0).sum())
         if loose:
             notes.append(f"{loose} points of the {name} hang loose of its largest part, and go along with the nearest of it")
+        if isinstance(side.shape, PointCloud) and oriented:
+            notes.append(f"left and right of the {name} are those of the closed surface through its points")
     told(0.05)
 
     def upto(*levels: int) -> list[int]:
@@ -988,8 +1036,10 @@ def register(
 
     Notes
     -----
-    For partial shapes and clouds a map comes back too; look at ``coverage``, ``bijectivity`` and ``notes``. On clouds nothing but
-    the energy of the deformation tells left from right, and in other spaces than R^3 nothing does.
+    Clouds are taken by their local mesh and, where they sample a closed surface in R^3, also by its triangles (from Delaunay's
+    tetrahedra): those go on whose spectra agree best, and inside and outside tell left from right. On open clouds nothing but the
+    energy of the deformation does, and in other spaces than R^3 nothing.
+    For partial shapes a map comes back too; look at ``coverage``, ``bijectivity`` and ``notes``.
 
     References
     ----------
@@ -1013,11 +1063,11 @@ def register(
     report = reporter(progress, "registration")
     sides = []
     for index, shape in enumerate((source, target)):
-        sides.append(prepare(shape, modes=modes, samples=samples, extrinsic=extrinsic))
+        sides.append(readings(shape, modes=modes, samples=samples, extrinsic=extrinsic))
         if report is not None and report(0.2 * (index + 1)) is False:
             raise Cancelled("stopped on request before the work was done")
-    if sides[0].dimension != sides[1].dimension:
-        raise InputError(f"the source has intrinsic dimension {sides[0].dimension}, the target {sides[1].dimension}; they must agree")
-    a, b = sides
+    a, b = min(itertools.product(*sides), key=lambda pair: _spectral_gap(*pair))
+    if a.dimension != b.dimension:
+        raise InputError(f"the source has intrinsic dimension {a.dimension}, the target {b.dimension}; they must agree")
     _describe(a, b, landmarks, descriptors)
     return match(a, b, method=method, polish=polish, most=most, rng=generator, report=part(report, 0.4, 1.0))
