@@ -27,7 +27,7 @@ proptest! {
         let wanted = 1 + (share * (count - 1) as f64) as usize;
         let tree = KdTree::new(points, dimension, &Control::default()).unwrap();
         let (indices, distances) = tree.nearest(points, wanted, &Control::default()).unwrap();
-        let near = tree.within(points, radius, &Control::default()).unwrap();
+        let near = tree.within(points, radius, usize::MAX, &Control::default()).unwrap();
         let mut scratch = Scratch::default();
         for (query, point) in points.chunks(dimension).enumerate() {
             let all = brute(points, dimension, point);
@@ -54,7 +54,7 @@ fn a_request_to_stop_stops() {
     let tree = KdTree::new(&points, 3, &control).unwrap();
     control.stop();
     assert_eq!(tree.nearest(&points, 3, &control), Err(Error::Cancelled));
-    assert_eq!(tree.within(&points, 3.0, &control), Err(Error::Cancelled));
+    assert_eq!(tree.within(&points, 3.0, usize::MAX, &control), Err(Error::Cancelled));
 }
 
 #[test]
@@ -64,8 +64,8 @@ fn wrong_input_is_an_error() {
     assert!(matches!(KdTree::new(&[1.0, f64::NAN], 2, &control), Err(Error::Input(_))));
     let empty = KdTree::new(&[], 3, &control).unwrap();
     assert!(matches!(empty.nearest(&[0.0; 3], 1, &control), Err(Error::Input(_))));
-    assert_eq!(empty.within(&[0.0; 3], 1.0, &control).unwrap().starts, [0, 0]);
-    assert!(matches!(empty.within(&[0.0; 3], f64::NAN, &control), Err(Error::Input(_))));
+    assert_eq!(empty.within(&[0.0; 3], 1.0, usize::MAX, &control).unwrap().starts, [0, 0]);
+    assert!(matches!(empty.within(&[0.0; 3], f64::NAN, usize::MAX, &control), Err(Error::Input(_))));
 }
 
 /// Distance to a triangle by minimizing over barycentric coordinates: a grid, then ever finer ones around the best (the problem

@@ -511,7 +511,7 @@ def distances(options: Options) -> int:
     for name in options.out or []:
         if Path(name).suffix.lower() not in (".npz", ".csv", ".png"):
             raise InputError(f"{name}: distances can be written to .npz, .csv or .png")
-    workers = arrays.whole(options.processes, "--processes", 0)
+    workers = arrays.whole(options.processes, "--processes", 0, 4096)
     executor = concurrent.futures.ProcessPoolExecutor(workers) if workers else None
     try:
         shapes = [shape_of(options, file) if file.startswith("example:") else file for file in options.files]

@@ -106,6 +106,25 @@ def whole(value: Any, name: str, least: int | None = None, most: int | None = No
     return number
 
 
+def memory() -> int:
+    """Bytes that this process may have: the machine's, or as few as a limit leaves it."""
+    try:
+        import resource
+
+        most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    except (ImportError, OSError, ValueError):
+        return 1 << 36  # where the system does not tell: 64 GiB
+    return most if limit == resource.RLIM_INFINITY else min(most, limit)
+
+
+def room(numbers: float, what: str, remedy: str) -> None:
+    """Refuses, before it is tried, what needs more ``numbers`` of 8 bytes than there is memory for."""
+    needed, there = 8.0 * numbers, memory()
+    if needed > there:
+        raise InputError(f"{what} would take {needed / 2**30:.3g} GiB of memory and there are {there / 2**30:.3g}; {remedy}")
+
+
 def number(value: Any, name: str, above: float | None = None, least: float | None = None) -> float:
     """A finite real number, above or at least a bound."""
     try:

@@ -363,8 +363,7 @@ def _local_mesh(cloud: PointCloud, mass: str, options: dict[str, Any]) -> Operat
     neighbors, reach, progress = options.pop("neighbors", None), options.pop("reach", None), options.pop("progress", None)
     family = CloudOperators if options.pop("symmetric", True) else RawOperators
     _no_more(options, mass, "local_mesh", "neighbors, reach, symmetric, progress")
-    if neighbors is not None:
-        neighbors = arrays.whole(neighbors, "neighbors", cloud.dimension + 1)
+    neighbors = _neighbors(neighbors, cloud, 0.8)
     if reach is not None:
         reach = arrays.floats(reach, "reach", (len(cloud.points),))
     ops = family(cloud, "local_mesh", neighbors=neighbors, progress=progress, reach=reach)
@@ -377,11 +376,19 @@ def _moving_least_squares(cloud: PointCloud, mass: str, options: dict[str, Any])
     neighbors, progress = options.pop("neighbors", None), options.pop("progress", None)
     weight, constrained = options.pop("weight", "special"), options.pop("constrained", True)
     _no_more(options, mass, "mls", "degree, neighbors, weight, constrained, progress")
-    if neighbors is not None:
-        neighbors = arrays.whole(neighbors, "neighbors", cloud.dimension + 1)
+    neighbors = _neighbors(neighbors, cloud, 6.0)
     if weight not in get_args(Weight):
         raise InputError(f"weight is {weight!r}; choose one of {', '.join(map(repr, get_args(Weight)))}")
     return LeastSquaresOperators(cloud, degree=degree, neighbors=neighbors, weight=weight, constrained=bool(constrained), progress=progress)
+
+
+def _neighbors(given: Any, cloud: PointCloud, numbers: float) -> int | None:
+    """How many each point starts from; so many ``numbers`` are kept for each of them."""
+    if given is None:
+        return None
+    wanted, count = arrays.whole(given, "neighbors", cloud.dimension + 1), len(cloud.points)
+    arrays.room(numbers * min(wanted, count) * count, f"neighbors = {wanted} of each of {count} points", "take fewer neighbours")
+    return wanted
 
 
 def _no_more(options: dict[str, Any], mass: str, kind: str, known: str) -> None:

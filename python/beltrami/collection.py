@@ -124,6 +124,7 @@ class DistanceMatrix:
         (3, 1)
         """
         dimension = arrays.whole(dimension, "dimension", 1)
+        arrays.room(2.0 * dimension * len(self.matrix), f"dimension = {dimension}", "as many dimensions as shapes hold all there is")
         good = self._good
         if len(good) < 2:
             raise InputError(f"{len(good)} shapes have distances to one another; two at least are needed")
@@ -457,7 +458,7 @@ def distance_matrix(
     names = tuple(str(label) for label in labels) if labels is not None else tuple(_name(m, i) for i, m in enumerate(members))
     if len(names) != count:
         raise InputError(f"{len(names)} labels for {count} shapes")
-    threads, seed = arrays.whole(threads, "threads", 1), 0 if rng is None else arrays.whole(rng, "rng", 0)
+    threads, seed = arrays.whole(threads, "threads", 1, 4096), 0 if rng is None else arrays.whole(rng, "rng", 0)
     report = reporter(progress, "distances")
     runner: _Executor = _Local() if executor is None else executor
     parent = os.getpid()

@@ -75,6 +75,7 @@ def hks(
     values, functions = _positive(pairs)
     if np.ndim(times) == 0:
         count = arrays.whole(times, "times", 1)
+        arrays.room(2.0 * count * (len(functions) + len(values)), f"times = {count}", "ask for fewer, or give those that are wanted")
         first = values[values > 0]
         span = np.geomspace(4 * np.log(10) / first[-1], 4 * np.log(10) / first[0], count)
     else:
@@ -133,6 +134,7 @@ def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 1
     count = arrays.whole(energies, "energies", 2)
     pairs = _pairs(shape, k, progress)
     values, functions = _positive(pairs)
+    arrays.room(2.0 * count * (len(functions) + len(values)), f"energies = {count}", "ask for fewer")
     above = values > 0
     logs = np.log(values[above])
     width = max((logs[-1] - logs[0]) / count, 1e-12)

@@ -182,6 +182,7 @@ def eigenpairs(
     first = None if start is None else arrays.floats(start, "start", (n, None))
     if k > n:
         raise InputError(f"k is {k}, the shape has {n} vertices; ask for at most {n} eigenpairs")
+    arrays.room(6.0 * k * n, f"k = {k} eigenpairs of {n} unknowns", "ask for fewer")
     report = reporter(progress, "eigenpairs")
     if scipy.sparse.issparse(mass):
         found = _core.eigenpairs(matrix, None, arrays.csr_in(mass, "the mass matrix"), k, shift, coordinates, first, report)

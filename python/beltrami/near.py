@@ -65,7 +65,7 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
     Raises
     ------
     InputError
-        If k is out of range, dimensions differ or a coordinate is not finite.
+        If k is out of range or too large for memory, dimensions differ or a coordinate is not finite.
 
     Notes
     -----
@@ -83,6 +83,7 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
     table = _points(points, "points")
     wanted = _queries(queries, "queries", table.shape[1])
     k = arrays.whole(k, "k", 1, max(len(table), 1))
+    arrays.room(1.5 * k * len(wanted), f"k = {k} neighbours of {len(wanted)} queries", "take a smaller k or fewer queries at a time")
     if k == 1 and table.shape[1] >= _MANY and len(table):
         indices, distances = _core.nearest_rows(table, wanted, reporter(progress, "neighbours"))
         return indices[:, None], distances[:, None]
@@ -116,7 +117,7 @@ def neighbors_within(
     Raises
     ------
     InputError
-        If the radius is negative, dimensions differ or a coordinate is not finite.
+        If the radius is negative, dimensions differ, a coordinate is not finite, or memory has no room for all that is near.
 
     Examples
     --------
@@ -127,7 +128,8 @@ def neighbors_within(
     """
     table = _points(points, "points")
     wanted = _queries(queries, "queries", table.shape[1])
-    return _core.neighbors_within(table, wanted, arrays.number(radius, "radius", least=0.0), reporter(progress, "neighbours"))
+    most = arrays.memory() // 32  # an index and a distance, in lists and in one array
+    return _core.neighbors_within(table, wanted, arrays.number(radius, "radius", least=0.0), most, reporter(progress, "neighbours"))
 
 
 def _mesh(mesh: TriangleMesh) -> tuple[Floats, Ints]:
@@ -312,7 +314,8 @@ def normals(points: npt.ArrayLike | PointCloud, *, neighbors: int = 16, progress
     True
     """
     table = arrays.points(points.points if isinstance(points, PointCloud) else points, "points", least=2)
-    wanted = arrays.whole(neighbors, "neighbors", table.shape[1])
+    wanted = min(arrays.whole(neighbors, "neighbors", table.shape[1]), len(table))
     if len(table) < table.shape[1]:
         raise InputError(f"{len(table)} points do not span a hyperplane of R^{table.shape[1]}; {table.shape[1]} or more are needed")
-    return _core.normals(table, min(wanted, len(table)), reporter(progress, "normals"))
+    arrays.room(4.0 * wanted * len(table), f"neighbors = {wanted} of each of {len(table)} points", "take fewer neighbours")
+    return _core.normals(table, wanted, reporter(progress, "normals"))

@@ -5,8 +5,9 @@ A shape is frozen: its arrays are read-only copies of what was handed in, so tha
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -524,6 +525,13 @@ def _count(value: Any, name: str, least: int) -> int:
     return arrays.whole(value, name, least, 1 << 27)
 
 
+def _made(make: Callable[..., tuple[Floats, Ints]], vertices: int, *arguments: Any) -> TriangleMesh:
+    """A surface of the core's, if there is memory for it: coordinates, triangles, and what it takes to make and to check them."""
+    if vertices <= 1 << 27:  # the core refuses more
+        arrays.room(12.0 * vertices, f"a surface of {vertices} vertices", "make a coarser one")
+    return TriangleMesh(*make(*arguments))
+
+
 def sphere(level: int = 4, *, frequency: int | None = None, radius: float = 1.0) -> TriangleMesh:
     """A sphere around the origin: an icosahedron whose edges are cut into 2^level (or ``frequency``) equal arcs.
 
@@ -548,7 +556,7 @@ def sphere(level: int = 4, *, frequency: int | None = None, radius: float = 1.0)
     TriangleMesh(2562 vertices in R^3, 5120 faces)
     """
     size = arrays.number(radius, "radius", above=0)
-    return TriangleMesh(*_core.make_ellipsoid(_frequency(level, frequency), (size, size, size)))
+    return ellipsoid(size, size, size, level=level, frequency=frequency)
 
 
 def ellipsoid(a: float = 1.0, b: float = 0.75, c: float = 0.5, *, level: int = 4, frequency: int | None = None) -> TriangleMesh:
@@ -561,7 +569,8 @@ def ellipsoid(a: float = 1.0, b: float = 0.75, c: float = 0.5, *, level: int = 4
     TriangleMesh(1002 vertices in R^3, 2000 faces)
     """
     axes = arrays.number(a, "a", above=0), arrays.number(b, "b", above=0), arrays.number(c, "c", above=0)
-    return TriangleMesh(*_core.make_ellipsoid(_frequency(level, frequency), axes))
+    cuts = _frequency(level, frequency)
+    return _made(_core.make_ellipsoid, 10 * cuts**2 + 2, cuts, axes)
 
 
 def torus(major_radius: float = 1.0, minor_radius: float = 0.4, *, rows: int = 75, columns: int = 32) -> TriangleMesh:
@@ -579,7 +588,8 @@ def torus(major_radius: float = 1.0, minor_radius: float = 0.4, *, rows: int = 7
     1
     """
     radii = arrays.number(major_radius, "major_radius", above=0), arrays.number(minor_radius, "minor_radius", above=0)
-    return TriangleMesh(*_core.make_torus(radii, _count(rows, "rows", 3), _count(columns, "columns", 3)))
+    counts = _count(rows, "rows", 3), _count(columns, "columns", 3)
+    return _made(_core.make_torus, math.prod(counts), radii, *counts)
 
 
 def flat_torus(first_radius: float = 1.0, second_radius: float = 1.0, *, rows: int = 48, columns: int = 48) -> TriangleMesh:
@@ -597,7 +607,8 @@ def flat_torus(first_radius: float = 1.0, second_radius: float = 1.0, *, rows: i
     TriangleMesh(1600 vertices in R^4, 3200 faces)
     """
     radii = arrays.number(first_radius, "first_radius", above=0), arrays.number(second_radius, "second_radius", above=0)
-    return TriangleMesh(*_core.make_flat_torus(radii, _count(rows, "rows", 3), _count(columns, "columns", 3)))
+    counts = _count(rows, "rows", 3), _count(columns, "columns", 3)
+    return _made(_core.make_flat_torus, math.prod(counts), radii, *counts)
 
 
 def grid(rows: int = 33, columns: int = 33, *, width: float = 1.0, height: float = 1.0) -> TriangleMesh:
@@ -615,7 +626,8 @@ def grid(rows: int = 33, columns: int = 33, *, width: float = 1.0, height: float
     2.0
     """
     lengths = arrays.number(width, "width", above=0), arrays.number(height, "height", above=0)
-    return TriangleMesh(*_core.make_grid(*lengths, _count(rows, "rows", 2), _count(columns, "columns", 2)))
+    counts = _count(rows, "rows", 2), _count(columns, "columns", 2)
+    return _made(_core.make_grid, math.prod(counts), *lengths, *counts)
 
 
 def cylinder(radius: float = 0.5, height: float = 2.0, *, rows: int = 33, columns: int = 48, closed: bool = False) -> TriangleMesh:
@@ -633,7 +645,8 @@ def cylinder(radius: float = 0.5, height: float = 2.0, *, rows: int = 33, column
     (2, 0)
     """
     lengths = arrays.number(radius, "radius", above=0), arrays.number(height, "height", above=0)
-    return TriangleMesh(*_core.make_cylinder(*lengths, _count(rows, "rows", 2), _count(columns, "columns", 3), bool(closed)))
+    counts = _count(rows, "rows", 2), _count(columns, "columns", 3)
+    return _made(_core.make_cylinder, math.prod(counts), *lengths, *counts, bool(closed))
 
 
 def disc(radius: float = 1.0, *, rings: int = 20) -> TriangleMesh:
@@ -650,7 +663,8 @@ def disc(radius: float = 1.0, *, rings: int = 20) -> TriangleMesh:
     >>> bt.shapes.disc(rings=10)
     TriangleMesh(331 vertices in R^3, 600 faces)
     """
-    return TriangleMesh(*_core.make_disc(arrays.number(radius, "radius", above=0), arrays.whole(rings, "rings", 1, 6000)))
+    size, circles = arrays.number(radius, "radius", above=0), arrays.whole(rings, "rings", 1, 6000)
+    return _made(_core.make_disc, 3 * circles * (circles + 1) + 1, size, circles)
 
 
 def knot(
@@ -693,7 +707,8 @@ def knot(
         arrays.number(tube_radius, "tube_radius", above=0),
     )
     windings = arrays.whole(p, "p", 1, 1000), arrays.whole(q, "q", 1, 1000)
-    return TriangleMesh(*_core.make_knot(*windings, radii, _count(rows, "rows", 3), _count(columns, "columns", 3)))
+    counts = _count(rows, "rows", 3), _count(columns, "columns", 3)
+    return _made(_core.make_knot, math.prod(counts), *windings, radii, *counts)
 
 
 def _tori(kind: str, ring_radius: float, tube_radius: float, resolution: int, progress: Progress) -> TriangleMesh:

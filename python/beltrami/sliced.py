@@ -56,6 +56,7 @@ def orthonormal_directions(dimension: int, count: int, *, rng: int | np.random.G
     ((12, 3), True)
     """
     dimension, count = arrays.whole(dimension, "dimension", 1), arrays.whole(count, "count", 1)
+    arrays.room(4.0 * (count + dimension) * dimension, f"{count} directions in R^{dimension}", "a few hundred are enough")
     blocks = _generator(rng).standard_normal((-(-count // dimension), dimension, dimension))
     q, r = np.linalg.qr(blocks)
     # QR alone fixes signs by its own convention; R with a positive diagonal makes Q uniform (Mezzadri 2007)

@@ -412,12 +412,13 @@ impl KdTree {
     /// The points whose distance to a query is at most `radius`, a list a query, nearest first, equally near ones by index.
     ///
     /// # Errors
-    /// [`Error::Input`] if `radius` is negative or not finite, or a query is not finite; [`Error::Cancelled`].
-    pub fn within(&self, queries: &[f64], radius: f64, control: &Control) -> Result<Neighbors> {
+    /// [`Error::Input`] if `radius` is negative or not finite, a query is not finite, or all lists together are longer than `most`;
+    /// [`Error::Cancelled`].
+    pub fn within(&self, queries: &[f64], radius: f64, most: usize, control: &Control) -> Result<Neighbors> {
         let count = self.check_queries(queries)?;
         check_radius(radius)?;
         let order = self.spatial_order(queries, count);
-        let done = AtomicUsize::new(0);
+        let (done, total) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let lists: Vec<Vec<(Vec<u32>, Vec<f64>)>> = order
             .par_chunks(BATCH)
             .map_init(Scratch::default, |scratch, batch| {
@@ -425,9 +426,14 @@ impl KdTree {
                 let each = batch.iter().map(|&query| {
                     let query = &queries[query as usize * self.dimension..][..self.dimension];
                     in_space!(self.dimension, space => self.within_in(space, query, radius, scratch));
-                    (scratch.indices.clone(), scratch.distances.clone())
+                    let found = scratch.indices.len();
+                    if total.fetch_add(found, Ordering::Relaxed).saturating_add(found) > most {
+                        let cause = format!("more than {most} points lie within {radius} of the {count} queries; that is the most that");
+                        return Err(Error::input(format!("{cause} memory has room for: take a smaller radius or fewer queries")));
+                    }
+                    Ok((scratch.indices.clone(), scratch.distances.clone()))
                 });
-                Ok(each.collect())
+                each.collect()
             })
             .collect::<Result<_>>()?;
         let mut place = vec![0; count];

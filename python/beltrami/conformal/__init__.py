@@ -150,6 +150,8 @@ class SphericalMapResult:
         given = np.asarray(self._source if values is None else values)
         given = arrays.floats(given, "values", (len(self.positions), *([None] * (given.ndim - 1))))
         rows, columns = arrays.whole(rows, "rows", 2), arrays.whole(columns, "columns", 2)
+        channels = given.size // len(given)
+        arrays.room((20.0 + 2 * channels) * rows * columns, f"a grid of {rows} x {columns}", "take fewer rows or columns")
         directions = spherical.grid_directions(rows, columns).reshape(-1, 3)
         found = spherical.surface_map(directions, self.positions, self.faces, self._source).pull_back(given)
         return found.reshape(rows, columns, *given.shape[1:])

@@ -386,6 +386,7 @@ class _Segmenter:
         self.known = (np.ones(count, bool) if known is None else known) & (surface.mass > 0)
         self.data_mass = surface.mass * self.known
         self.regions = arrays.whole(regions, "regions", 2, 1000)
+        arrays.room(30.0 * self.regions * count, f"regions = {self.regions} on {count} vertices", "ask for fewer, or take a coarser shape")
         self.given = means is not None
         self.start = self._given(means) if self.given else self._clusters()
         self.means = self.start

@@ -126,6 +126,7 @@ class SkeletonResult:
         [True]
         """
         steps = arrays.whole(steps, "steps", 1)
+        arrays.room(4.0 * steps * (self.nodes.size + len(self.edges)), f"{steps} steps for each of {len(self.edges)} edges", "take fewer")
         share = (np.arange(steps) / steps)[None, :, None]
         lines = []
         for limb in self.limbs:

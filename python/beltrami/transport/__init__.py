@@ -185,6 +185,7 @@ class Flow:
             here = mesh.vertices[arrays.indices(points, "points", len(mesh.vertices), empty=True)]
         else:
             here = arrays.floats(points, "points", (None, mesh.dimension))
+        arrays.room(2.0 * (self.intervals * steps + 1) * here.size, f"paths of {len(here)} particles in {steps} substeps", "take fewer")
         if len(here) == 0:
             return np.zeros((self.intervals * steps + 1, 0, mesh.dimension))
         # Velocities at vertices: means over the triangles around, weighted by the mass on them, so that they vary continuously.
@@ -217,7 +218,7 @@ class Flow:
         Parameters
         ----------
         times : int or sequence of float
-            How many times from 0 to 1, or which.
+            How many times from 0 to 1, up to 1,000, or which.
         path : path, optional
             ``.png`` or ``.html``.
         **options
@@ -226,7 +227,8 @@ class Flow:
         from ..view import plot
         from .film import film
 
-        chosen = np.linspace(0, 1, arrays.whole(times, "times", 1)) if isinstance(times, int) else arrays.floats(times, "times", (None,))
+        counted = isinstance(times, int)
+        chosen = np.linspace(0, 1, arrays.whole(times, "times", 1, 1000)) if counted else arrays.floats(times, "times", (None,))
         if len(chosen) == 0:
             raise InputError("times is empty; name at least one")
         fields = {f"t = {t:.3g}": self.interpolate(float(t)) for t in chosen}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from .. import _core
+from .. import _core, arrays
 from ..arrays import Floats
 from ..costs import Cost, Lagrangian
 from ..errors import InputError
@@ -113,6 +113,13 @@ class Problem:
     terminal: Cost | None = None
     memory: float = MEMORY
     scale: float | None = None  # density where the mass is, if several problems shall share it
+
+    def __post_init__(self) -> None:
+        elements = len(self.surface.areas)
+        each = 40.0 * elements * self.surface.dimension  # numbers an interval at the least, as measured
+        most = int(arrays.memory() / (8 * each))
+        remedy = f"take {most} intervals or fewer, or a coarser mesh" if most else "take a coarser mesh"
+        arrays.room(each * self.intervals, f"intervals = {self.intervals} over {elements} elements", remedy)
 
     @cached_property
     def masses(self) -> Floats:

@@ -50,19 +50,20 @@ pub fn nearest_rows<'py>(
 
 /// List starts, indices and distances of the points within a radius of each query.
 #[pyfunction]
-#[pyo3(signature = (points, queries, radius, progress=None))]
+#[pyo3(signature = (points, queries, radius, most, progress=None))]
 #[allow(clippy::type_complexity)]
 pub fn neighbors_within<'py>(
     py: Python<'py>,
     points: PyReadonlyArray2<'py, f64>,
     queries: PyReadonlyArray2<'py, f64>,
     radius: f64,
+    most: usize,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<i32>>, Bound<'py, PyArray1<f64>>)> {
     let (points, dimension) = table(&points)?;
     let (queries, columns) = table(&queries)?;
     same_dimension(py, dimension, columns)?;
-    let found = run::watched(py, progress, |control| KdTree::new(points, dimension, control)?.within(queries, radius, control))?;
+    let found = run::watched(py, progress, |control| KdTree::new(points, dimension, control)?.within(queries, radius, most, control))?;
     let starts = found.starts.into_iter().map(|start| start as i64).collect();
     Ok((vector_out(py, starts), vector_out(py, bytemuck::cast_vec(found.indices)), vector_out(py, found.distances)))
 }
