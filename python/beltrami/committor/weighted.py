@@ -204,15 +204,18 @@ def geometry(points: Floats, simplices: Longs, share: Floats) -> tuple[Floats, F
         volume = np.sqrt(sides[:, 0])
         conduction = np.divide(1.0, volume, out=np.zeros_like(volume), where=volume > 0)[:, None]
     elif d == 2:
-        ab, ac, bc = sides.T
+        largest = sides.max(1)
+        ab, ac, bc = (sides / np.maximum(largest, 1e-300)[:, None]).T
         double = np.sqrt(np.maximum(ab * ac - np.square(ab + ac - bc) / 4, 0))
-        double[double <= 1e-14 * sides.max(1)] = 0
+        double[double <= 1e-14] = 0
         inverse = np.divide(0.25, double, out=np.zeros_like(double), where=double > 0)
         # half the cotangent of the corner opposite to each side
         conduction = np.stack([ac + bc - ab, ab + bc - ac, ab + ac - bc], 1) * inverse[:, None]
-        volume = double / 2
+        volume = double * largest / 2
     else:
         edges = corners[:, 1:] - corners[:, :1]
+        size = np.maximum(np.sqrt(sides.max(1)), 1e-150)
+        edges = edges / size[:, None, None]
         gram = np.matmul(edges, edges.transpose(0, 2, 1))
         determinant = np.linalg.det(gram)
         sound = determinant > 1e-14 * np.prod(np.einsum("saa->sa", gram), axis=1)
@@ -222,8 +225,8 @@ def geometry(points: Floats, simplices: Longs, share: Floats) -> tuple[Floats, F
         products[:, 1:, 1:] = inner
         products[:, 0, 1:] = products[:, 1:, 0] = -inner.sum(1)
         products[:, 0, 0] = inner.sum((1, 2))
-        volume = np.where(sound, np.sqrt(np.maximum(determinant, 0)) / math.factorial(d), 0)
-        conduction = -products[:, a, b] * volume[:, None]
+        volume = np.where(sound, np.sqrt(np.maximum(determinant, 0)) / math.factorial(d), 0) * size**d
+        conduction = -products[:, a, b] * (volume / size**2)[:, None]
     return conduction * share[:, None], volume * share, sides
 
 

@@ -138,7 +138,7 @@ def _simplices(ops: Operators) -> tuple[Ints, Floats, Floats]:
 
 def _heron(lengths: Floats) -> Floats:
     c, b, a = np.sort(lengths, axis=1).T
-    area: Floats = 0.25 * np.sqrt(np.maximum((a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c)), 0))
+    area: Floats = 0.25 * np.sqrt((a + (b + c)) * np.maximum(c - (a - b), 0)) * np.sqrt((c + (a - b)) * (a + (b - c)))
     return area
 
 

@@ -355,7 +355,8 @@ class _Evenness:
     def __init__(self, complex_: Complex) -> None:
         self.ends = complex_.edges.T
         steps = complex_.points[self.ends[0]] - complex_.points[self.ends[1]]
-        self.inverse = 1 / np.maximum(np.einsum("ed,ed->e", steps, steps), 1e-300)
+        steps /= max(float(np.abs(steps).max()), 1e-300)  # the size of the shape does not count, and its squares could overflow
+        self.inverse = 1 / np.maximum(np.einsum("ed,ed->e", steps, steps), 1e-100)
         self.count, self.share = len(complex_.mass), complex_.mass / complex_.mass.sum()
         self.degrees = np.maximum(sum(np.bincount(end, minlength=self.count) for end in self.ends), 1)
 
@@ -368,7 +369,7 @@ class _Evenness:
 
     def score(self, squares: Floats) -> float:
         """Of the squared slopes; parts without slope count as if it were a thousandth of the others'."""
-        return float(self.share @ np.log(np.maximum(squares, 0) + 1e-6 * squares.mean()))
+        return float(self.share @ np.log(np.maximum(squares, 0) + max(1e-6 * float(squares.mean()), 1e-300)))
 
 
 def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: list[str], report: Any) -> tuple[Floats, _Cut, Floats]:
@@ -379,8 +380,8 @@ def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: li
     count = min(7, len(complex_.mass))
     matrix = arrays.csr_in(complex_.stiffness, "the stiffness")
     pairs = _core.eigenpairs(matrix, complex_.mass, None, count, None, complex_.points, None, part(report, 0.4, 0.7))
-    values, functions = pairs[0][1:], pairs[1][:, 1:]
-    centric = ((functions / values) ** 2).sum(1)
+    values, functions = pairs[0][1:], pairs[1][:, 1:] / np.abs(pairs[1]).max()
+    centric = ((functions * (values[0] / values)) ** 2).sum(1)
     varied = np.ptp(centric) / centric.mean()
     if function == "eccentricity" and varied > 1e-6:
         return centric, _cut(complex_, centric, shortest_limb, part(report, 0.7, 0.9)), values

@@ -295,7 +295,7 @@ def _fill(drawing: Drawing) -> None:
             joint, node = (a, b) if a in drawing.joints else (b, a)
             if joint in drawing.joints and node not in drawing.joints and drawing.radii[node] < FAT * drawing.joints[joint]:
                 length = float(np.linalg.norm(drawing.nodes[a] - drawing.nodes[b]))
-                steps = min(int(length / max(float(drawing.radii[node]), 1e-300)), 12)
+                steps = int(min(length / max(float(drawing.radii[node]), 1e-300), 12.0))
                 share = (np.arange(1, steps + 1) / (steps + 1))[:, None]
                 new_nodes.append(drawing.nodes[a] + share * (drawing.nodes[b] - drawing.nodes[a]))
                 new_radii.append(np.full(steps, drawing.radii[node]))
@@ -380,7 +380,7 @@ class _Meeting:
         self.width = float(widths[0])
         self.fat = bool(widths[-1] < FAT * self.width)
         # lines that are nearly parallel say little: stay near the ends, of wide limbs above all
-        trunk = np.average(drawing.nodes[firsts], axis=0, weights=(widths / self.width) ** 4 + 1e-9)
+        trunk = np.average(drawing.nodes[firsts], axis=0, weights=(widths / max(self.width, 1e-300)) ** 4 + 1e-9)
         pull = 0.5 if self.fat else 0.03
         offset = np.linalg.solve(matrix + pull * np.eye(3), right + pull * trunk) - trunk
         place = trunk + offset * min(1.0, 1.5 * self.width / max(float(np.linalg.norm(offset)), 1e-300))

@@ -387,7 +387,7 @@ class SimplifiedGraph:
         vertex = graph.tip(limb.ends[end], groups[-1])
         tip = x[-1] if vertex < 0 else graph.vertices[vertex]
         length = float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum() + np.linalg.norm(tip - x[-1]))
-        return length, float(np.linalg.norm(tip - x[0]) / max(graph.radii[root], 1e-300))
+        return length, float(np.linalg.norm(tip - x[0])) / max(float(graph.radii[root]), 1e-300)
 
     def tips(self) -> list[tuple[int, int, int]]:
         """(limb, which of its ends, vertex) of each tip."""

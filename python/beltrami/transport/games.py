@@ -35,7 +35,7 @@ class MeanFieldGameResult(Flow):
         What moving costs, what being somewhere costs (trapezoid rule in time), and what the end costs.
     exploitability : float
         The first-order (Nash) residual: how much players could gain together by other paths while everybody else keeps to this
-        one is not more than this, as a share of the objective's size.
+        one is not more than this, as a share of the objective's size. Infinite where no potential bounds it, far from convergence.
     """
 
     objective: float

@@ -673,7 +673,8 @@ def plot(
         return Page(html, said, _write(path, html.encode()))
     reach = np.concatenate([geometry.vertices, marks, *polylines])
     centre = 0.5 * (reach.min(axis=0) + reach.max(axis=0))
-    extent = max(float(np.linalg.norm(reach - centre, axis=1).max()), 1e-150)
+    largest = max(float(np.abs(reach - centre).max()), 1e-150)
+    extent = largest * max(float(np.linalg.norm((reach - centre) / largest, axis=1).max()), 1.0)  # squares of 1e300 would overflow
     distance = math.inf if geometry.flat or not perspective else 4.2 * extent
     ball = 0.0 if len(geometry.faces) else (_touching(geometry) if radius is None else arrays.number(radius, "radius", above=0))
     behind = colors.color(background)
