@@ -36,7 +36,11 @@ fn assert_answers(bytes: &[u8], format: Format) {
             assert_sound(&shape);
             let numbers = shape.vertices.len() + 3 * shape.faces.len() + shape.data.iter().map(|field| field.values.len()).sum::<usize>();
             let packed = bytes.starts_with(&[0x1f, 0x8b]);
-            assert!(numbers <= if packed { 1000 } else { 4 } * bytes.len().max(16), "{format:?}: {numbers} numbers of {} bytes", bytes.len());
+            assert!(
+                numbers <= if packed { 1000 } else { 4 } * bytes.len().max(16),
+                "{format:?}: {numbers} numbers of {} bytes",
+                bytes.len()
+            );
         }
         Err(Error::File { path, cause, .. }) => {
             assert_eq!(path, Path::new("some.file"));

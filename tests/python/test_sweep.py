@@ -180,6 +180,7 @@ METHODS: dict[str, Callable[[Any, np.random.Generator], Any]] = {
 INFINITE = {"geodesic_distance", "intersect_rays"}  # distance to what no source reaches; to what a ray does not hit
 UNBOUNDED = {
     "stability",  # of a skeleton: loops that bands of no width remove
+    "dilatation",  # of a map: triangles without an area, or whose image has none
     "exploitability",  # of a game that is far from converged: what no potential bounds
 }
 NOT_A_NUMBER = {"distance_matrix"}  # the row of a shape that could not be described; the report says why

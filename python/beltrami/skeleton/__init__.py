@@ -352,10 +352,11 @@ def skeleton(
 class _Evenness:
     """How evenly functions change over a surface: the mean over its area of the logarithm of the mean squared slope around each vertex."""
 
-    def __init__(self, complex_: Complex) -> None:
+    def __init__(self, complex_: Complex, unit: float) -> None:
         self.ends = complex_.edges.T
         steps = complex_.points[self.ends[0]] - complex_.points[self.ends[1]]
-        steps /= max(float(np.abs(steps).max()), 1e-300)  # the size of the shape does not count, and its squares could overflow
+        self.unit = unit  # neither the size of the functions nor that of the shape counts, and their squares could overflow
+        steps /= max(float(np.abs(steps).max()), 1e-300)
         self.inverse = 1 / np.maximum(np.einsum("ed,ed->e", steps, steps), 1e-100)
         self.count, self.share = len(complex_.mass), complex_.mass / complex_.mass.sum()
         self.degrees = np.maximum(sum(np.bincount(end, minlength=self.count) for end in self.ends), 1)
@@ -363,7 +364,7 @@ class _Evenness:
     def products(self, f: Floats, g: Floats) -> Floats:
         """(n,): the mean product of the slopes of two functions along the edges at each vertex."""
         a, b = self.ends
-        product = (f[a] - f[b]) * (g[a] - g[b]) * self.inverse
+        product = (f[a] / self.unit - f[b] / self.unit) * (g[a] / self.unit - g[b] / self.unit) * self.inverse
         found: Floats = (np.bincount(a, product, self.count) + np.bincount(b, product, self.count)) / self.degrees
         return found
 
@@ -380,8 +381,8 @@ def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: li
     count = min(7, len(complex_.mass))
     matrix = arrays.csr_in(complex_.stiffness, "the stiffness")
     pairs = _core.eigenpairs(matrix, complex_.mass, None, count, None, complex_.points, None, part(report, 0.4, 0.7))
-    values, functions = pairs[0][1:], pairs[1][:, 1:] / np.abs(pairs[1]).max()
-    centric = ((functions * (values[0] / values)) ** 2).sum(1)
+    values, functions = pairs[0][1:], pairs[1][:, 1:]
+    centric = ((functions / values) ** 2).sum(1)
     varied = np.ptp(centric) / centric.mean()
     if function == "eccentricity" and varied > 1e-6:
         return centric, _cut(complex_, centric, shortest_limb, part(report, 0.7, 0.9)), values
@@ -404,7 +405,7 @@ def _first_function(complex_: Complex, values: Floats, functions: Floats, notes:
     """φ_1 of a connected complex. Of a multiple λ_1 the combination that changes most evenly; and where a limb lies in the set where φ_1
     vanishes (the stem of a T), with an admixture of another eigenfunction that changes along it."""
     copies = int((values <= MULTIPLE * values[0]).sum())
-    even = _Evenness(complex_)
+    even = _Evenness(complex_, float(np.abs(functions).max()))
     found = functions[:, 0]
     if copies > 1:
         found = functions[:, :copies] @ _most_even(even, functions[:, :copies])
