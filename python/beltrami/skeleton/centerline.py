@@ -18,6 +18,7 @@ from .reeb import Limb, SimplifiedGraph
 
 DIRECTIONS = 24  # of the rays that center a node
 ROUNDS = 8  # tangents turn as nodes move
+SETTLING = 12  # rounds more in which edges are centered too
 FAT = 0.7  # a limb thinner than this share of another one at the joint ends at a body rather than at a tube
 
 
@@ -246,6 +247,7 @@ def center(drawing: Drawing, section: Section | None) -> None:
                 drawing.nodes[own] = _smooth(drawing.nodes[own], drawing.radii[own], drawing.is_ring(chain), 0.7)[0]
     _thin(drawing, count)
     if section is not None and section.mesh is not None:
+        _settle(drawing, section)
         _inwards(drawing, section)
 
 
@@ -263,6 +265,40 @@ def _thin(drawing: Drawing, count: int) -> None:
     new = {node: number for number, node in enumerate(kept)}
     drawing.nodes, drawing.radii = drawing.nodes[kept], drawing.radii[kept]
     drawing.chains = [[new[node] for node in chain] for chain in drawing.chains]
+
+
+def _settle(drawing: Drawing, section: Section) -> None:
+    """Moves the inner nodes of limbs until the middles of the edges between them lie in the middle of the sections across them as well:
+    where a limb bends, tangents say too little. The best of all rounds stays."""
+    pairs = np.array([pair for chain in drawing.chains for pair in itertools.pairwise(chain)], np.int64).reshape(-1, 2)
+    count = len(drawing.nodes)
+    degree = np.bincount(pairs.ravel(), minlength=count)
+    a, b = pairs[(degree[pairs] == 2).all(1)].T
+    inner = np.flatnonzero(np.bincount(np.concatenate([a, b]), minlength=count))
+    if len(inner) == 0:
+        return
+    beside = np.concatenate([pairs, pairs[:, ::-1]])
+    beside = beside[np.argsort(beside[:, 0], kind="stable")]
+    ends = beside[np.searchsorted(beside[:, 0], inner)[:, None] + [0, 1], 1]
+    x, best, least = drawing.nodes, drawing.nodes, np.inf
+    for _ in range(SETTLING):
+        along = np.concatenate([x[b] - x[a], x[ends[:, 1]] - x[ends[:, 0]]])
+        length = np.linalg.norm(along, axis=1)
+        along = along / np.maximum(length, 1e-300)[:, None]
+        places = np.concatenate([(x[a] + x[b]) / 2, x[inner]])
+        distances, u, v = section(places, along, np.ones(len(places)), np.zeros(len(places), np.int32))
+        shift, mean, good = _middle(distances, u, v, section.turn)
+        shift[~good] = 0.0
+        size = length[: len(a)]
+        off = np.where(good, np.linalg.norm(shift, axis=1) / np.maximum(mean, 1e-300), 1.0)[: len(a)]
+        if float(size @ off) < least * float(size.sum()):
+            best, least = x, float(size @ off) / max(float(size.sum()), 1e-300)
+        weight = np.bincount(a, size, count) + np.bincount(b, size, count)
+        pull = [np.bincount(a, size * column, count) + np.bincount(b, size * column, count) for column in shift[: len(a)].T]
+        moved = np.stack(pull, 1)[inner] / np.maximum(weight, 1e-300)[inner, None] + shift[len(a) :]
+        x = x.copy()
+        x[inner] += 0.25 * moved
+    drawing.nodes = best
 
 
 def _inwards(drawing: Drawing, section: Section) -> None:
@@ -286,16 +322,21 @@ def _inwards(drawing: Drawing, section: Section) -> None:
 
 
 def _fill(drawing: Drawing) -> None:
-    """Nodes a radius apart between joints and the thin limbs that end there."""
+    """Nodes a radius apart between joints and the thin limbs that end there, and 0.8 of one where long limbs have none."""
     new_nodes, new_radii = [drawing.nodes], [drawing.radii]
     count = len(drawing.nodes)
     for at, chain in enumerate(drawing.chains):
         filled = [chain[0]]
+        long = drawing.is_ring(chain) or len(chain) > 6
         for a, b in itertools.pairwise(chain):
             joint, node = (a, b) if a in drawing.joints else (b, a)
-            if joint in drawing.joints and node not in drawing.joints and drawing.radii[node] < FAT * drawing.joints[joint]:
-                length = float(np.linalg.norm(drawing.nodes[a] - drawing.nodes[b]))
-                steps = int(min(length / max(float(drawing.radii[node]), 1e-300), 12.0))
+            apart = float(drawing.radii[node])
+            if joint not in drawing.joints:
+                apart = 0.8 * max(float(drawing.radii[a]), float(drawing.radii[b])) if long else np.inf
+            elif node in drawing.joints or apart >= FAT * drawing.joints[joint]:
+                apart = np.inf
+            steps = int(min(float(np.linalg.norm(drawing.nodes[a] - drawing.nodes[b])) / max(apart, 1e-300), 12.0))
+            if steps > 0:
                 share = (np.arange(1, steps + 1) / (steps + 1))[:, None]
                 new_nodes.append(drawing.nodes[a] + share * (drawing.nodes[b] - drawing.nodes[a]))
                 new_radii.append(np.full(steps, drawing.radii[node]))
