@@ -382,7 +382,7 @@ def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: li
     matrix = arrays.csr_in(complex_.stiffness, "the stiffness")
     pairs = _core.eigenpairs(matrix, complex_.mass, None, count, None, complex_.points, None, part(report, 0.4, 0.7))
     values, functions = pairs[0][1:], pairs[1][:, 1:]
-    centric = ((functions / values) ** 2).sum(1)
+    centric = ((functions / np.abs(functions).max() / (values / values[0])) ** 2).sum(1)  # free of units
     varied = np.ptp(centric) / centric.mean()
     if function == "eccentricity" and varied > 1e-6:
         return centric, _cut(complex_, centric, shortest_limb, part(report, 0.7, 0.9)), values
