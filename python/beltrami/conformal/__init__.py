@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,9 @@ from ..solvers import Cholesky, plus_diagonal
 from ..view import Page, Picture, plot
 from . import genus, spherical
 from .moebius import Moebius
+
+if TYPE_CHECKING:
+    from ..clouds import CloudOperators
 
 Faces = npt.NDArray[np.int64]
 
@@ -71,7 +74,9 @@ class SphericalMapResult:
     notes : tuple of str
         What is worth knowing about how the map was found.
     faces : ndarray (m, 3) of int32
-        The triangles of the map: those of the mesh, turned outwards where they looked inwards; of a cloud its simplices.
+        The triangles of the map: those of the mesh, turned outwards where they looked inwards; of a cloud the simplices of the stars.
+    weights : ndarray (m,)
+        How much each triangle counts: 1, of a cloud the share of its corners whose star holds it.
     """
 
     shape: Shape
@@ -87,6 +92,7 @@ class SphericalMapResult:
     history: dict[str, Floats]
     notes: tuple[str, ...] = ()
     faces: Ints = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    weights: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def excess(self) -> float:
@@ -197,9 +203,11 @@ class SphericalMapResult:
         faces = self.faces.astype(np.int64)
         weights = None
         if isinstance(self.shape, PointCloud):
-            weights = operators(self.shape).votes / 3.0  # type: ignore[attr-defined]
+            weights = self.weights
         vertices, size = _scaled(self._source)
         surface = _Surface(vertices, faces, weights)
+        if weights is not None:
+            surface.mass = operators(self.shape).mass / size**2
         trace = _Trace(list(self.history["move"]), list(self.history["excess"]), self.converged)
         folded = None if weights is None else np.zeros(len(faces), bool)
         made = _certified(self.shape, surface, moebius(self.positions), size, trace, self.notes, folded)
@@ -1124,6 +1132,15 @@ class _Task:
             return _descend(surface, solve, gradient, s, self.tolerance, self.steps, later)
         return _cayley(surface, None if self.method == "cayley" else solve, stiffness, s, self.tolerance, self.steps, later)
 
+    def onward(self, surface: _Surface, stiffness: scipy.sparse.csr_array, s: Floats) -> tuple[Floats, _Trace]:
+        """Factors and iterates from a map that is there."""
+        solve = _solver(stiffness, surface.vertices, lambda share: self.report(0.9))
+        s = _centred(s, surface.mass)
+        if self.method == "fast":
+            return _descend(surface, solve, surface.gradient, s, self.tolerance, self.steps, lambda share: self.report(0.9))
+        metric = None if self.method == "cayley" else solve
+        return _cayley(surface, metric, stiffness, s, self.tolerance, self.steps, lambda share: self.report(0.9))
+
 
 def _filled(mesh: TriangleMesh) -> tuple[Floats, Faces]:
     """The mesh with a cap on each boundary loop: rings that shrink to the loop's centre, and a fan. The mesh's own come first."""
@@ -1211,22 +1228,98 @@ def _map_cloud(cloud: PointCloud, given: Operators | None, check: bool, task: _T
     vertices, size = _scaled(cloud.points)
     surface = _Surface(vertices, faces, ops.votes / 3.0)
     s, trace = task.iterate(surface, ops.stiffness)
-    # Each simplex is oriented as its image is; the volume within tells inside from outside.
-    turned = np.where(_determinants(s, faces) < 0, -1.0, 1.0)
-    if vertices.shape[1] == 3:
-        p, q, r = (vertices[faces[:, k]] for k in range(3))
-        if float((turned * ops.votes * _rows(p, _cross(q, r))).sum()) < 0:
-            s = _centred(s * [1.0, 1.0, -1.0], surface.mass)
-            turned = -turned
     notes = ops.notes
     if check:
         covered = float(np.abs(_solid_angles(s, faces)) @ ops.votes) / (12 * np.pi)
         agreed = float((ops.votes == 3).mean())
         findings = genus.Findings(covered, genus.mixed_share(s, faces), genus.bare_share(s), genus.largest_ring(ops), agreed)
         notes += findings.checked(ops, facts)
-    wrong = _folded(ops, faces, turned)
+    surface, s, trace = _with_stars_of_the_image(ops, surface, s, trace, task)
+    # Each simplex is oriented as its image is; the volume within tells inside from outside.
+    faces, votes = surface.faces, np.rint(3 * surface.weights) if surface.weights is not None else np.zeros(0)
+    turned = np.where(_determinants(s, faces) < 0, -1.0, 1.0)
+    if vertices.shape[1] == 3:
+        p, q, r = (vertices[faces[:, k]] for k in range(3))
+        if float((turned * votes * _rows(p, _cross(q, r))).sum()) < 0:
+            s = _centred(s * [1.0, 1.0, -1.0], surface.mass)
+            turned = -turned
+    wrong = _folded(ops, faces, votes, turned)
     task.report(1.0)
     return _certified(cloud, surface, s, size, trace, notes, wrong)
+
+
+_Star = tuple[Faces, npt.NDArray[np.bool_]]
+
+
+def _with_stars_of_the_image(
+    ops: CloudOperators, surface: _Surface, s: Floats, trace: _Trace, task: _Task
+) -> tuple[_Surface, Floats, _Trace]:
+    """The map of a cloud again, with the Delaunay stars of the images in place of those of the points.
+
+    Where sheets are nearer to each other than the points, stars in space join them; their images lie far apart. A conformal map keeps
+    Delaunay triangles, so the stars of the images are those of the surface, if the map is nearly right there. Points whose star of
+    images reaches far in the cloud keep their own star. A pass is kept if it lowers the mean change of angle in the images' triangles.
+    """
+    n, points = surface.count, surface.vertices
+    own: _Star = surface.faces, ops._held
+    mass = surface.mass
+    spacing = ops.point_spacing * float(np.sqrt(mass.sum() / ops.mass.sum()))
+    stars, error, grown = _image_stars(s, points, mass)
+    for _ in range(PASSES):
+        if stars is None:
+            break
+        faces, held = stars
+        far = ~(_circumradii(points, faces) <= 20 * np.median(spacing[faces], axis=1))
+        if grown > 1.05:  # the images of several sheets are mixed: triangles between them
+            near = genus.within_edges(own[0], n, 3, np.arange(n), faces, faces[:, [1, 2, 0]])
+            far |= ~near.all(1)
+        unfit = np.bincount(faces[held & far[:, None]], minlength=n) > 0
+        unfit |= np.bincount(faces[held], minlength=n) == 0
+        both = np.concatenate([faces, own[0]])
+        counts = np.concatenate([(held & ~unfit[faces]).sum(1), (own[1] & unfit[own[0]]).sum(1)])
+        both, place = np.unique(both, axis=0, return_inverse=True)
+        votes = np.bincount(place.ravel(), counts).astype(np.uint8)
+        both, votes = both[votes > 0], votes[votes > 0]
+        trial = _Surface(points, both, votes / 3.0)
+        trial.mass = mass
+        stiffness = arrays.csr_out(_core.local_stiffness((points, both.astype(np.int32), votes, None)), (n, n))
+        if scipy.sparse.csgraph.connected_components(stiffness, directed=False)[0] > 1:
+            break
+        moved, steps = task.onward(trial, stiffness, s)
+        found = _image_stars(moved, points, mass)
+        if not found[1] < error:
+            break
+        done = found[1] > 0.98 * error
+        stars, error, grown = found
+        surface, s = trial, moved
+        trace = _Trace(trace.move + steps.move, trace.excess + steps.excess, steps.converged)
+        if done:
+            break
+    return surface, s, trace
+
+
+PASSES = 4
+
+
+def _image_stars(s: Floats, points: Floats, mass: Floats) -> tuple[_Star | None, float, float]:
+    """Simplices of the images' local mesh and which corners' stars hold them; mean change of angle, and their area over the cloud's."""
+    try:
+        ops = cast("CloudOperators", operators(PointCloud(s, dimension=2)))
+        faces, held = ops.simplices.astype(np.int64), ops._held
+    except InputError:  # images that round to one place
+        return None, np.inf, np.inf
+    weights = ops.votes / 3.0
+    change = np.abs(_corner_angles(s, faces) - _corner_angles(points, faces)).mean(1)
+    area = float(_corner_cotangents(points, faces)[1] @ weights)
+    return (faces, held), float(change @ weights / weights.sum()), area / float(mass.sum())
+
+
+def _circumradii(vertices: Floats, faces: Faces) -> Floats:
+    p, q, r = (vertices[faces[:, k]] for k in range(3))
+    product = _length(q - r) * _length(r - p) * _length(p - q)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found: Floats = product / (4 * _corner_cotangents(vertices, faces)[1])
+    return found
 
 
 def _euler(faces: Faces) -> int:
@@ -1244,7 +1337,7 @@ def _solid_angles(s: Floats, faces: Faces) -> Floats:
     return found
 
 
-def _folded(ops: Any, faces: Faces, turned: Floats) -> npt.NDArray[np.bool_]:
+def _folded(ops: Any, faces: Faces, counts: Floats, turned: Floats) -> npt.NDArray[np.bool_]:
     """Simplices, of those that all three stars hold, whose image is turned against most of its neighbours' around each corner."""
     frames, points = ops.frames, ops.shape.points
     against = np.zeros((len(faces), 3))
@@ -1255,7 +1348,7 @@ def _folded(ops: Any, faces: Faces, turned: Floats) -> npt.NDArray[np.bool_]:
         against[:, k] = np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) * turned
     sense = np.sign(np.bincount(faces.ravel(), against.ravel(), len(points)))
     votes = (against * sense[faces] < 0).sum(1)
-    found: npt.NDArray[np.bool_] = (ops.votes == 3) & (votes >= 2)
+    found: npt.NDArray[np.bool_] = (counts == 3) & (votes >= 2)
     return found
 
 
@@ -1309,4 +1402,5 @@ def _certified(
         {"move": np.array(trace.move), "excess": np.array(trace.excess)},
         notes,
         np.ascontiguousarray(faces, np.int32),
+        weights,
     )
