@@ -22,7 +22,7 @@ import beltrami as bt
 from . import arrays
 from .clouds import CloudOperators
 from .errors import ConvergenceError, Error, FileError, InputError
-from .files import written
+from .files import stored, written
 from .progress import Bar
 
 Options = argparse.Namespace
@@ -594,7 +594,7 @@ def _vertex_pairs(name: str | None) -> npt.NDArray[np.int64] | None:
     path = Path(name)
     try:
         if path.suffix.lower() == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False))
+            return stored(path)[path.stem]
         lines = [line.replace(",", " ").split() for line in path.read_text(encoding="utf-8-sig").splitlines()]
     except (OSError, ValueError) as error:
         raise FileError(f"{path} cannot be read: {error}") from None
@@ -852,8 +852,7 @@ def _samples(options: Options) -> tuple[Any, dict[str, npt.NDArray[Any]]]:
         return shape, dict(shape.data)
     try:
         if suffix == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                fields = {name: archive[name] for name in archive.files}
+            fields = stored(path)
         else:
             rows = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8-sig")
             if rows.dtype.names is None or rows.ndim != 1:
@@ -976,11 +975,10 @@ def _values(name: str | None, shape: Any) -> tuple[Any, str | None]:
         raise InputError(f"--values {name}: no such file, and the shape has no such field (it has {', '.join(shape.data) or 'none'})")
     try:
         if path.suffix.lower() == ".npy":
-            return np.load(path, allow_pickle=False), path.stem
+            return stored(path)[path.stem], path.stem
         if path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                count = len(positions(shape))
-                fields = {key: archive[key] for key in archive.files if archive[key].shape == (count,)}
+            count = len(positions(shape))
+            fields = {key: array for key, array in stored(path).items() if array.shape == (count,)}
             if not fields:
                 raise InputError(f"--values {name}: none of its arrays has one number a vertex")
             return (fields, None) if len(fields) > 1 else next((array, key) for key, array in fields.items())

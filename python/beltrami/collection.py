@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from . import arrays
 from .arrays import Floats
-from .errors import Cancelled, DependencyError, InputError
-from .files import load, written
+from .errors import Cancelled, DependencyError, FileError, InputError
+from .files import load, stored, written
 from .progress import Progress, reporter
 from .register import Eigenmap, align_eigenmaps, eigenmap, prepare, settle
 from .shapes import PointCloud, Shape, TriangleMesh, no_shape
@@ -334,9 +334,8 @@ def _recall(path: Path | None) -> dict[str, Any] | None:
     if path is None or not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return {name: content[name] for name in content.files}
-    except Exception:  # a broken file is made again
+        return stored(path)
+    except FileError:  # a broken file is made again
         return None
 
 

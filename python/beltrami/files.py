@@ -179,6 +179,25 @@ def written(path: Path, fill: Callable[[Any], object]) -> Path:
     return path
 
 
+def stored(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """The arrays of an ``.npz`` file by their names; that of an ``.npy`` file by the file's.
+
+    Raises
+    ------
+    FileError
+        The file is missing, broken, or holds objects of Python.
+    """
+    try:
+        found = np.load(path, allow_pickle=False)
+        if isinstance(found, np.ndarray):
+            return {path.stem: found}
+        with found:
+            return {name: np.asarray(found[name]) for name in found.files}
+    except Exception as error:  # numpy, zipfile and zlib each say it in their own way; a shape that lies asks for all memory
+        said = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise FileError(f"{path} cannot be read: {said}") from None
+
+
 def save_fields(shape: Any, fields: Mapping[str, Any], path: Path, *, values: Sequence[str] = ()) -> Path:
     """Arrays and numbers to ``.npz``; the shape with those named ``values``, which have a row a vertex, to ``.ply``.
 
@@ -323,7 +342,7 @@ def _from_gifti(path: str) -> tuple[Floats, Ints, Fields]:
     codes = nibabel.nifti1.intent_codes
     points, faces, others = None, None, []
     for array in image.darrays:
-        intent = codes.niistring[array.intent]
+        intent = codes.niistring.get(array.intent, f"intent_{array.intent}")
         if intent == "NIFTI_INTENT_POINTSET" and points is None:
             points = array.data
         elif intent == "NIFTI_INTENT_TRIANGLE" and faces is None:

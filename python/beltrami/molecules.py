@@ -55,23 +55,28 @@ def load(
     InputError
         The selection is empty or not understood.
     """
-    files = [trajectories] if isinstance(trajectories, str | os.PathLike) else list(trajectories)
-    names, every = [os.fspath(file) for file in files], arrays.whole(stride, "stride", 1)
+    top = os.fspath(arrays.file(topology, "topology"))
+    if not isinstance(trajectories, str | os.PathLike | Sequence):
+        raise InputError(f"trajectories is {trajectories!r}; a path or a list of paths is needed")
+    files = [trajectories] if isinstance(trajectories, str | os.PathLike) else trajectories
+    names, every = [os.fspath(arrays.file(file, "trajectories")) for file in files], arrays.whole(stride, "stride", 1)
+    if not (selection is None or isinstance(selection, str)):
+        raise InputError(f"selection is {selection!r}; a str is needed")
     if reader not in get_args(Reader):
         raise InputError(f"reader is {reader!r}; choose one of {', '.join(map(repr, get_args(Reader)))}")
-    for name in [os.fspath(topology), *names]:
+    for name in [top, *names]:
         if not os.path.exists(name):
             raise FileError(f"{name}: no such file")
     readers = {"MDAnalysis": _mdanalysis, "mdtraj": _mdtraj}
     for package in readers if reader == "auto" else (reader,):
         try:
-            found = readers[package](os.fspath(topology), names, selection, every)
+            found = readers[package](top, names, selection, every)
         except ImportError:
             continue
         except Error:
             raise
         except Exception as error:  # whatever the package raises on a file it cannot read
-            raise FileError(f"{', '.join([os.fspath(topology), *names])} cannot be read by {package}: {error}") from None
+            raise FileError(f"{', '.join([top, *names])} cannot be read by {package}: {error}") from None
         return arrays.floats(found, "positions", (None, None, 3))
     wanted = "MDAnalysis or mdtraj" if reader == "auto" else reader
     raise DependencyError(f"trajectories are read by {wanted}, which is missing: pip install 'beltrami[molecules]' (or {wanted})")
@@ -136,16 +141,29 @@ def align(positions: npt.ArrayLike, reference: npt.ArrayLike | None = None) -> F
     >>> bool(np.ptp(bt.molecules.align([frame, turned]), axis=0).max() < 1e-12)
     True
     """
-    frames = arrays.floats(positions, "positions", (None, None, 3))
+    frames, unit = _in_units(positions)
     if frames.shape[0] == 0 or frames.shape[1] == 0:
         raise InputError(f"positions has shape {frames.shape}; at least one frame of one atom is needed")
+    wanted = None if reference is None else arrays.floats(reference, "reference", (frames.shape[1], 3))
+    if wanted is not None and np.abs(wanted).max() > unit:
+        larger = _in_units(wanted[None])[1]
+        frames, unit = frames * (unit / larger), larger
     centred = frames - frames.mean(1, keepdims=True)
-    if reference is not None:
-        return _turned(centred, arrays.floats(reference, "reference", (frames.shape[1], 3)))
+    if wanted is not None:
+        return _turned(centred, wanted / unit) * unit
     found = _turned(centred, centred[0])
     for _ in range(5):
         found = _turned(centred, found.mean(0))
-    return found
+    return found * unit
+
+
+def _in_units(positions: npt.ArrayLike) -> tuple[Floats, float]:
+    """Positions as shares of their largest coordinate, and that: products of them neither overflow nor vanish."""
+    frames = arrays.floats(positions, "positions", (None, None, 3))
+    unit = float(np.abs(frames).max(initial=0.0)) or 1.0
+    if unit > 1e300:
+        raise InputError(f"positions reach {unit:.3g}, and distances between them could be beyond float64; take a larger unit of length")
+    return frames / unit, unit
 
 
 def _turned(centred: Floats, reference: Floats) -> Floats:
@@ -180,8 +198,8 @@ def dihedral_angles(positions: npt.ArrayLike, atoms: npt.ArrayLike) -> Floats:
     >>> bt.molecules.dihedral_angles([[[1, 0, 0], [0, 0, 0], [0, 0, 1], [0, 1, 1]]], [[0, 1, 2, 3]]).round(6).tolist()
     [[1.570796]]
     """
-    frames = arrays.floats(positions, "positions", (None, None, 3))
-    chosen = np.asarray(atoms)
+    frames = _in_units(positions)[0]
+    chosen = arrays.anything(atoms, "atoms")
     if chosen.ndim != 2 or chosen.shape[1] != 4:
         raise InputError(f"atoms has shape {chosen.shape}, (k, 4) is needed")
     quads = arrays.indices(chosen.ravel(), "atoms", frames.shape[1]).reshape(-1, 4)
@@ -230,6 +248,6 @@ def pair_distances(positions: npt.ArrayLike) -> Floats:
     >>> bt.molecules.pair_distances([[[0, 0, 0], [3, 4, 0], [0, 0, 1]]]).round(3).tolist()
     [[5.0, 1.0, 5.099]]
     """
-    frames = arrays.floats(positions, "positions", (None, None, 3))
+    frames, unit = _in_units(positions)
     a, b = np.triu_indices(frames.shape[1], 1)
-    return np.asarray(np.linalg.norm(frames[:, a] - frames[:, b], axis=2), float)
+    return np.asarray(np.linalg.norm(frames[:, a] - frames[:, b], axis=2), float) * unit

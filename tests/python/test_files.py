@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import pyvista
 import trimesh
+from beltrami.files import stored
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -469,6 +470,64 @@ def test_gifti_and_freesurfer(tmp_path, bumpy, monkeypatch):
 
 
 # ---- other packages' objects -----------------------------------------------------------------------------------------------------------
+def spoilt(content, rng):
+    """Some bytes changed, cut off, or there twice."""
+    content = bytearray(content)
+    for _ in range(rng.integers(1, 5)):
+        at, length = rng.integers(len(content) + 1), rng.integers(1, 40)
+        match rng.integers(4):
+            case 0:
+                content[at : at + 1] = rng.bytes(1)
+            case 1:
+                content[at : at + length] = b""
+            case 2:
+                content[at:at] = content[at : at + length]
+            case _:
+                content[at : at + 8] = b"9" * 8
+    return bytes(content)
+
+
+def spoilt_samples(folder):
+    """Files that other packages read for us: by name, and what reads them."""
+    mesh = bt.shapes.sphere(1)
+    faces, points = mesh.faces, mesh.vertices
+    trimesh.Trimesh(points, faces).export(folder / "a.glb")
+    np.savez(folder / "a.npz", points=points, faces=faces)
+    np.savez_compressed(folder / "b.npz", points=points, faces=faces)
+    np.save(folder / "a.npy", points)
+    names = ["a.glb", "a.npz", "b.npz", "a.npy"]
+    try:
+        import nibabel
+    except ImportError:
+        return names
+    arrays = nibabel.gifti.GiftiDataArray
+    image = nibabel.GiftiImage(darrays=[arrays(points.astype(np.float32), 1008), arrays(faces, 1009)])
+    (folder / "a.gii").write_bytes(image.to_bytes())
+    nibabel.freesurfer.write_geometry(str(folder / "lh.pial"), points, faces)
+    return [*names, "a.gii", "lh.pial"]
+
+
+@pytest.mark.filterwarnings("ignore")  # of the packages that read
+def test_spoilt_files_of_other_packages_are_read_or_refused(tmp_path):
+    rng = np.random.default_rng(5)
+    for name in spoilt_samples(tmp_path):
+        content = (tmp_path / name).read_bytes()
+        path = tmp_path / f"spoilt.{name}"
+        answered = 0
+        for _ in range(60):
+            path.write_bytes(spoilt(content, rng))
+            try:
+                if name.endswith((".npz", ".npy")):
+                    assert all(isinstance(array, np.ndarray) for array in stored(path).values())
+                else:
+                    assert np.isfinite(positions(bt.load(path))).all()
+                answered += 1
+            except bt.FileError as error:
+                if path.name not in str(error):
+                    raise
+        assert answered < 60
+
+
 def test_objects_of_trimesh(bumpy):
     colors = np.random.default_rng(6).integers(0, 256, (len(bumpy.vertices), 4), np.uint8)
     label = np.arange(len(bumpy.vertices))

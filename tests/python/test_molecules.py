@@ -75,3 +75,25 @@ def test_dihedral_angles_turn_with_the_last_atom() -> None:
         molecules.dihedral_angles([[[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 1, 2]]], [[0, 1, 2, 3]])
     with pytest.raises(bt.InputError, match="atoms"):
         molecules.dihedral_angles(frames, [[0, 1, 2, 9]])
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-100, 1e100, 1e299])
+def test_any_unit_of_length_will_do(scale: float) -> None:
+    np.testing.assert_allclose(molecules.align(FRAMES * scale) / scale, molecules.align(FRAMES), atol=1e-12)
+    turned = molecules.align(FRAMES * scale, FRAMES[0])
+    assert np.isfinite(turned).all()
+    np.testing.assert_allclose(molecules.pair_distances(FRAMES * scale) / scale, molecules.pair_distances(FRAMES), rtol=1e-12)
+    angles = molecules.dihedral_angles(FRAMES, [[0, 1, 2, 3]])
+    np.testing.assert_allclose(molecules.dihedral_angles(FRAMES * scale, [[0, 1, 2, 3]]), angles, atol=1e-10)
+
+
+def test_faults_are_named() -> None:
+    with pytest.raises(bt.InputError, match="larger unit"):
+        molecules.pair_distances(FRAMES * 1e307)
+    with pytest.raises(bt.InputError, match="atoms cannot be read as an array"):
+        molecules.dihedral_angles(FRAMES, [[0, 1], [2]])
+    for topology, trajectories in ((None, ()), (5, ()), ("a.pdb", 5), ("a.pdb", None), ("a.pdb", [None])):
+        with pytest.raises(bt.InputError, match=r"topology is|trajectories is"):
+            molecules.load(topology, trajectories)  # type: ignore[arg-type]
+    with pytest.raises(bt.InputError, match="selection is 5"):
+        molecules.load("a.pdb", selection=5)  # type: ignore[arg-type]

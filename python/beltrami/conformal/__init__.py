@@ -1207,6 +1207,8 @@ def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult
     if whole is not source:
         own = surface.faces[: len(mesh.faces)]
         surface = _Surface(vertices[: len(mesh.vertices)], own)
+        if not surface.mass.sum() > 0:
+            raise InputError("no triangle of the surface has an area: only the holes that were filled have; give another shape")
         s = _centred(s[: len(mesh.vertices)], surface.mass)
     task.report(1.0)
     return _certified(mesh, surface, s, size, trace, tuple(notes))
