@@ -113,7 +113,7 @@ PICTURES: tuple[Callable[[Path], None], ...] = (
 
 
 def main() -> None:
-    """All pictures of the pages but scale.png (`benches/scale.py`), or those that are named."""
+    """All pictures of the pages but scale.png and methods.png (`benches/`), or those that are named."""
     for paint in PICTURES:
         if not sys.argv[1:] or paint.__name__ in sys.argv[1:]:
             paint(FOLDER / f"{paint.__name__}.png")

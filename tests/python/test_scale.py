@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import re
+from pathlib import Path
 
 import beltrami as bt
 import numpy as np
 import pytest
+
+_spec = importlib.util.spec_from_file_location("methods", Path(__file__).parents[2] / "benches" / "methods.py")
+assert _spec is not None
+assert _spec.loader is not None
+methods = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(methods)
+
+SECONDS, MEMORY = 300.0, 16.0  # of the processor; GiB
 
 SPHERE = bt.shapes.sphere(2)
 HEIGHT = SPHERE.vertices[:, 2]
@@ -93,3 +104,21 @@ def test_the_refusal_says_what_fits(monkeypatch):
     (most,) = map(int, re.findall(r"take (\d+) intervals or fewer", str(refused.value)))
     assert 1 < most < 1000
     assert flow(intervals=most).intervals == most
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="limits of a process")
+@pytest.mark.parametrize("name", methods.METHODS)
+def test_a_million_vertices(name):
+    """An answer within the stated time and memory, or a refusal that says why."""
+    row = methods.measure(name, 1_000_000, SECONDS, MEMORY)
+    kind = row["outcome"].split(":")[0]
+    assert kind == "answer" or issubclass(getattr(bt, kind, type(None)), bt.InputError), row
+
+
+def test_every_method_is_measured():
+    """What is public and works on shapes has its row."""
+    called = " ".join(methods.METHODS)
+    others = {"load", "save", "plot", "reweight", "num_threads", "set_num_threads", "operators", "point_map_of", "functional_map_of"}
+    makers = {name for name in bt.__all__ if name[0].islower() and callable(getattr(bt, name))} - others
+    assert [name for name in sorted(makers) if name not in called] == []
