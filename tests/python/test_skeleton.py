@@ -115,7 +115,20 @@ def test_parts_a_spacing_apart_are_told_apart_by_normals() -> None:
     outward = points - tree.data[tree.query(points)[1]]
     assert (np.einsum("nd,nd->n", normals, outward) > 0).mean() > 0.99
     assert seam < 0.005
-    assert counted(bt.skeleton(bt.PointCloud(points))) == (1, 0, 2)
+    r = bt.skeleton(bt.PointCloud(points))
+    assert counted(r) == (1, 0, 2)
+    assert not any("turn away" in note for note in r.notes)
+
+
+def test_parts_that_touch_are_said_and_told_apart_by_given_normals() -> None:
+    """The same with a gap of 0.2 of a radius, half the spacing: nothing in the points alone says where one tube ends."""
+    hairpin = [np.array([(-1.1, 0, 0), (-1.1, 6, 0)]), np.array([(-1.1, 0, 0), (1.1, 0, 0)]), np.array([(1.1, 0, 0), (1.1, 6, 0)])]
+    for seed in range(3):
+        points, tree = tube(hairpin, 1.0, 1500, np.random.default_rng(seed))
+        assert any("turn away" in note for note in bt.skeleton(bt.PointCloud(points)).notes)
+        outward = points - tree.data[tree.query(points)[1]]
+        outward /= np.linalg.norm(outward, axis=1)[:, None]
+        assert counted(bt.skeleton(bt.PointCloud(points, normals=outward))) == (1, 0, 2)
 
 
 def test_other_functions() -> None:

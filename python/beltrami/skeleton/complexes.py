@@ -22,6 +22,9 @@ Indices = npt.NDArray[np.int64]
 NOISY = 0.03  # share of the variance of 8 neighbours across the surface; .006 on coarse clean samples, .1 under noise of a spacing
 
 
+AWAY = 0.008  # share of neighbours more than 70 degrees apart: up to .005 where a shape is sampled well, .009 and more where parts touch
+
+
 @dataclass
 class Complex:
     """What is cut: points, cells (triangles or edges), and who of the user's points each belongs to."""
@@ -128,6 +131,11 @@ def cloud_complex(cloud: PointCloud, notes: list[str], report: Any) -> Complex:
             break
         points, origin = points[used], origin[used]
         normals = None if normals is None else normals[used]
+    if normals is not None:
+        pairs = ops.simplices[:, [0, 1]]  # of each triangle one side
+        away = float((np.einsum("md,md->m", normals[pairs[:, 0]], normals[pairs[:, 1]]) < 0.34).mean())
+        if away > AWAY:
+            notes.append(f"{100 * away:.1f} % of neighbours turn away from each other: parts nearer than the spacing may have joined")
     edges = unique_edges(ops.simplices[:, [0, 1]] if cloud.dimension == 1 else sides(ops.simplices))
     return Complex(
         points,
