@@ -80,6 +80,8 @@ SIZES = {
     "moving least squares": lambda p: bt.operators(bt.PointCloud(p), laplacian="mls", neighbors=90_000),
     "eigenpairs": lambda p: bt.eigenpairs(bt.shapes.sphere(4), 2500),
     "regions": lambda p: bt.segment(SPHERE, HEIGHT, regions=100),
+    "committor": lambda p: bt.committor(SPHERE, HEIGHT, [0], [1], beta=1.0, refine=3),
+    "committor of a cloud": lambda p: bt.committor(CLOUD, HEIGHT, [0], [1], beta=1.0, refine=2),
     "makers": lambda p: [bt.shapes.sphere(6)],
     "torus": lambda p: bt.shapes.torus(rows=300, columns=300),
     "flat torus": lambda p: bt.shapes.flat_torus(rows=300, columns=300),
