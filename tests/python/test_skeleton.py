@@ -153,6 +153,14 @@ def test_legs_that_the_first_eigenfunction_runs_past_are_found() -> None:
     assert len(np.unique(cloud.limb_of_point[feet])) == 4
 
 
+def test_a_handle_is_not_given_up_for_limbs() -> None:
+    """The eccentricity of a fat ring is greatest along its rim: levels along the handle, which a cloud's sampling breaks."""
+    for seed in range(2):
+        points, _ = tube([circle((0, 0, 0))], 0.55, 4000, np.random.default_rng(seed))
+        r = bt.skeleton(bt.PointCloud(points))
+        assert (r.cycles, r.leaves) == (1, 0)
+
+
 def test_the_eccentricity_sees_every_limb_and_needs_some() -> None:
     points, _ = tube(arms((-3, 0, 0), (3, 0, 0), (-1.5, 2.5, 0), (1.5, -2.5, 0), (0, 0, 2)), 0.3, 4000, np.random.default_rng(3))
     r = bt.skeleton(bt.PointCloud(points), function="eccentricity")

@@ -394,7 +394,8 @@ def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: li
     if function is None and varied > VARIED:
         other = _cut(complex_, centric, shortest_limb, part(report, 0.8, 0.9))
         missed = other.simple.beyond(cut.simple, float(np.sqrt(complex_.mass.sum())))
-        if missed and len(other.simple.tips()) > len(cut.simple.tips()):
+        # on clouds a function whose levels run along the handles may lose them
+        if missed and len(other.kept) == len(cut.kept) and len(other.simple.tips()) > len(cut.simple.tips()):
             notes.append(f"the first eigenfunction runs past {missed} limbs, so the eccentricity was taken")
             return centric, other, values
     notes += said
