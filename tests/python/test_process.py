@@ -15,11 +15,12 @@ import time
 import beltrami as bt
 import numpy as np
 import pytest
+import test_sweep
 
 
-def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run(code: str, seconds: float = 120, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env={**os.environ, **environment}, check=False
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=seconds, env={**os.environ, **environment}, check=False
     )
 
 
@@ -27,18 +28,24 @@ def values(level: int = 3) -> bytes:
     return bt.eigenpairs(bt.shapes.sphere(level), 5).values.tobytes()
 
 
-@pytest.mark.parametrize("method", [m for m in ("fork", "forkserver", "spawn") if m in multiprocessing.get_all_start_methods()])
-def test_child_processes(method):
+def few_and_all(few):
+    """Some methods in every run, the whole table of the sweep in `make slow`."""
+    return [method if method in few else pytest.param(method, marks=pytest.mark.slow) for method in test_sweep.METHODS]
+
+
+@pytest.mark.parametrize("start", [m for m in ("fork", "forkserver", "spawn") if m in multiprocessing.get_all_start_methods()])
+@pytest.mark.parametrize("methods", [["eigenpairs", "normals"], pytest.param(list(test_sweep.METHODS), marks=pytest.mark.slow)], ids=len)
+def test_child_processes_answer_as_their_parent(start, methods):
     code = f"""
-import multiprocessing, test_process
+import multiprocessing, test_sweep
 if __name__ == "__main__":
-    here = test_process.values()  # the parent's threads are running when the child starts
-    with multiprocessing.get_context({method!r}).Pool(2) as pool:
-        assert pool.map(test_process.values, [3, 3]) == [here, here]
-    print("same")
+    here = [test_sweep.answer(method) for method in {methods}]  # the parent's threads are running when the child starts
+    with multiprocessing.get_context({start!r}).Pool(2) as pool:
+        there = pool.map(test_sweep.answer, {methods}, chunksize=1)
+    print([method for method, one, other in zip({methods}, here, there) if one != other])
 """
-    done = run(code, PYTHONPATH=os.path.dirname(__file__))
-    assert done.stdout.strip() == "same", done.stderr
+    done = run(code, seconds=60 * len(methods), PYTHONPATH=os.path.dirname(__file__))
+    assert done.stdout.strip() == "[]", done.stderr
 
 
 LONG = {
@@ -86,6 +93,32 @@ except KeyboardInterrupt:
 """
     done = run(code, BELTRAMI_NUM_THREADS="2")
     assert float(done.stdout) < 2.0, done.stderr
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers of POSIX")
+@pytest.mark.parametrize("method", few_and_all(["register", "plot"]))
+def test_every_method_is_interrupted_soon_and_works_on(method):
+    """Half a second of CPU time at most from the signal until it is served, wherever in the method it falls."""
+    code = f"""
+import signal, time, numpy as np, beltrami as bt, test_sweep
+before = test_sweep.answer({method!r})
+shape = test_sweep.larger({method!r}, 40_000)
+signal.signal(signal.SIGPROF, signal.default_int_handler)
+late = []
+for moment in (0.1, 0.4, 0.7, 1.1, 1.9):
+    due = time.process_time() + moment
+    signal.setitimer(signal.ITIMER_PROF, moment)
+    try:
+        while True:
+            test_sweep.METHODS[{method!r}](shape, np.random.default_rng(3))
+    except KeyboardInterrupt:
+        late.append(time.process_time() - due)
+print(max(late), test_sweep.answer({method!r}) == before)
+"""
+    done = run(code, seconds=600, PYTHONPATH=os.path.dirname(__file__), BELTRAMI_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    late, same = done.stdout.split() or pytest.fail(done.stderr)
+    assert float(late) < 0.5
+    assert same == "True"
 
 
 def test_other_python_threads_run_meanwhile():
@@ -136,6 +169,15 @@ def test_same_bits_in_another_process_with_other_threads():
         lambda: bt.shapes.sphere(1),
         lambda: bt.PointCloud(np.eye(3), weights=[1, 2, 3]),
         lambda: bt.operators(bt.shapes.sphere(1)),
+        lambda: bt.operators(bt.shapes.sphere(1), laplacian="intrinsic_delaunay"),
+        lambda: bt.operators(bt.shapes.sphere(1), laplacian="tufted"),
+        lambda: bt.operators(bt.PointCloud(bt.shapes.sphere(2).vertices, dimension=2)),
+        lambda: bt.operators(bt.PointCloud(bt.shapes.sphere(2).vertices, dimension=2), laplacian="mls"),
+        lambda: bt.spherical_map(bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=1)),
+        lambda: bt.spherical_map(bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=1)).harmonics(3),
+        lambda: bt.costs.congestion(0.1),
+        lambda: bt.costs.power(1.5),
+        lambda: bt.plot(bt.shapes.sphere(1), size=(20, 20), samples=1),
         lambda: bt.eigenpairs(bt.shapes.sphere(1), 3),
         lambda: bt.HeatMethod(bt.shapes.sphere(1)),
         lambda: bt.PoissonSolver(bt.shapes.sphere(1)),

@@ -311,16 +311,18 @@ def test_each_method_answers_on_a_sound_mesh(method: str) -> None:
     assert attempt(Case(method, base, 3, (), method == "sample_density", 1))
 
 
-def _larger(method: str) -> Any:
-    """Enough points for the kernels to share the work among threads."""
+def larger(method: str, count: int = 3840) -> Any:
+    """About so many points: by default enough for the kernels to share the work among threads."""
     if method in ("spherical_map", "register_conformal", "plot"):
-        return bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=4)
-    mesh = bt.shapes.torus(rows=96, columns=40)
+        return bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=4 if count < 5000 else 6)
+    columns = round((count / 2.4) ** 0.5)
+    mesh = bt.shapes.torus(rows=count // columns, columns=columns)
     return bt.PointCloud(mesh.vertices, dimension=2) if method == "sample_density" else mesh
 
 
-def _answer(method: str) -> list[bytes]:
-    return [array.tobytes() for array in arrays_of(METHODS[method](_larger(method), np.random.default_rng(3)))]
+def answer(method: str) -> list[bytes]:
+    """All bits of what a method answers on that."""
+    return [array.tobytes() for array in arrays_of(METHODS[method](larger(method), np.random.default_rng(3)))]
 
 
 @pytest.mark.slow
@@ -331,7 +333,7 @@ def test_the_same_bits_on_any_number_of_threads(method: str) -> None:
         answers = []
         for threads in (1, 2, 4, 8):
             bt.set_num_threads(threads)
-            answers.append(_answer(method))
+            answers.append(answer(method))
     finally:
         bt.set_num_threads(before)
     assert all(answer == answers[0] for answer in answers)
@@ -340,9 +342,9 @@ def test_the_same_bits_on_any_number_of_threads(method: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_eight_calls_at_once_answer_as_one(method: str) -> None:
-    alone = _answer(method)
+    alone = answer(method)
     with ThreadPoolExecutor(8) as pool:
-        assert all(answer == alone for answer in pool.map(_answer, [method] * 8))
+        assert all(answer == alone for answer in pool.map(answer, [method] * 8))
 
 
 @pytest.mark.slow
