@@ -1115,10 +1115,8 @@ def committor(
         levels = arrays.whole(refine, "refine", 0, 3)
         if levels and (_dimension(ops) != 2 or method != "weak"):
             raise InputError(f"refine is {levels}; triangles are split, and only in the weak form")
-    cloud = isinstance(ops.shape, PointCloud)
-    needed = (250.0 * 4**levels + (900.0 if cloud else 0.0)) * len(ops.mass)  # as measured
-    remedy = "refine less, or take fewer points (max_points=)" if cloud else "refine less, or take a coarser mesh"
-    arrays.room(needed, f"refine = {levels} of {len(ops.mass)} points", remedy)
+    remedy = "refine less, or take " + ("fewer points (max_points=)" if isinstance(ops.shape, PointCloud) else "a coarser mesh")
+    arrays.room(250.0 * 4**levels * len(ops.mass), f"refine = {levels} of {len(ops.mass)} points", remedy)  # numbers as measured
     system = _weak(
         ops, u[part_of], None if function is None else exact, (a[part_of], b[part_of]),
         (level_of(A, level_a, "A"), level_of(B, level_b, "B")),
