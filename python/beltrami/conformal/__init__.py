@@ -363,30 +363,36 @@ def at_vertices(result: SphericalMapResult, values: Floats) -> Floats:
 # --- triangles ----------------------------------------------------------------------------------------------------------------------
 
 
-def _corner_cotangents(vertices: Floats, faces: Faces) -> tuple[Floats, Floats]:
-    """Cotangents (m, 3) of the corners, and areas (m,), of triangles in R^D."""
-    p = [vertices[faces[:, k]] for k in range(3)]
-    cotangents = np.empty((len(faces), 3))
-    edges = [p[2] - p[1], p[0] - p[2], p[1] - p[0]]  # opposite to each corner
-    u, v = edges[2], edges[1]
-    if vertices.shape[1] == 3:
-        double = _length(_cross(u, v))
-    else:
-        gram = _rows(u, u) * _rows(v, v) - _rows(u, v) ** 2
-        double = np.sqrt(np.maximum(gram, 0.0))
+def _corners(vertices: Floats, faces: Faces) -> tuple[Floats, Floats]:
+    """Inner product (m, 3) of the two edges at each corner, and twice the area (m,), of triangles in R^D.
+
+    Coordinates are gathered one by one: rows of three are the slowest that numpy knows.
+    """
+    columns = np.ascontiguousarray(vertices.T)
+    p, q, r = (columns.take(faces[:, k], axis=1) for k in range(3))
+    edges = (r - q, p - r, q - p)  # opposite to each corner
+    dots = np.empty((len(faces), 3))
     for k in range(3):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cotangents[:, k] = -_rows(edges[(k + 1) % 3], edges[(k + 2) % 3]) / double
-    return cotangents, 0.5 * double
+        dots[:, k] = -(edges[(k + 1) % 3] * edges[(k + 2) % 3]).sum(0)
+    if len(columns) == 3:
+        (a, b, c), (x, y, z) = edges[2], edges[1]
+        double = np.sqrt((b * z - c * y) ** 2 + (c * x - a * z) ** 2 + (a * y - b * x) ** 2)
+    else:
+        gram = (edges[2] ** 2).sum(0) * (edges[1] ** 2).sum(0) - dots[:, 0] ** 2
+        double = np.sqrt(np.maximum(gram, 0.0))
+    return dots, double
+
+
+def _corner_cotangents(vertices: Floats, faces: Faces) -> tuple[Floats, Floats]:
+    """Cotangents (m, 3) of the corners, and areas (m,)."""
+    dots, double = _corners(vertices, faces)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return dots / double[:, None], 0.5 * double
 
 
 def _corner_angles(vertices: Floats, faces: Faces) -> Floats:
-    angles = np.empty((len(faces), 3))
-    for k in range(3):
-        a, b = vertices[faces[:, (k + 1) % 3]] - vertices[faces[:, k]], vertices[faces[:, (k + 2) % 3]] - vertices[faces[:, k]]
-        dot = _rows(a, b)
-        cross = _length(_cross(a, b)) if vertices.shape[1] == 3 else np.sqrt(np.maximum(_rows(a, a) * _rows(b, b) - dot**2, 0.0))
-        angles[:, k] = np.arctan2(cross, dot)
+    dots, double = _corners(vertices, faces)
+    angles: Floats = np.arctan2(double[:, None], dots)
     return angles
 
 
@@ -518,16 +524,18 @@ def _tangential(vectors: Floats, s: Floats) -> Floats:
 
 def _without_turn(moves: Floats, s: Floats, weights: Floats) -> Floats:
     """Tangential moves less their mean rotation: the energy knows none, and steps that all turn a little never end."""
-    inertia = np.eye(3) - np.einsum("i,ij,ik->jk", weights, s, s)
-    turn = np.linalg.solve(inertia, np.einsum("i,ij->j", weights, _cross(s, moves)))
-    return moves - _cross(np.broadcast_to(turn, s.shape), s)
+    weighted = s * weights[:, None]
+    inertia = np.eye(3) - np.einsum("ij,ik->jk", weighted, s)
+    moment = np.einsum("ij,ik->jk", weighted, moves)  # its skew part is the sum of the cross products
+    x, y, z = np.linalg.solve(inertia, [moment[1, 2] - moment[2, 1], moment[2, 0] - moment[0, 2], moment[0, 1] - moment[1, 0]])
+    turned: Floats = np.einsum("ij,kj->ik", s, np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
+    return moves - turned
 
 
 def _start(surface: _Surface, solve: Callable[[Floats], Floats]) -> Floats:
     """A linear map to the plane with its pole in one large and well-shaped triangle, and up to the sphere (Haker et al. 2000)."""
     v, f = surface.vertices, surface.faces
-    corners = v[f]
-    sides = ((corners - corners[:, [1, 2, 0]]) ** 2).sum((1, 2))
+    sides = _corners(v, f)[0].sum(1)  # half the sum of squared sides
     shapely = np.divide(surface.areas, sides, out=np.zeros_like(sides), where=sides > 0)
     if surface.weights is not None:
         shapely = np.where(surface.weights == 1, shapely, 0.0)  # all three stars agree on it
@@ -557,14 +565,16 @@ def _anderson(residuals: list[Floats], images: list[Floats], weights: Floats) ->
     newest, image = residuals[-1], images[-1]
     if len(residuals) == 1:
         return image
-    differences = [newest - r for r in residuals[:-1]]
-    scale = [float(np.sqrt(np.einsum("i,ij,ij->", weights, d, d))) for d in differences]
+    root = np.sqrt(weights)[:, None]
+    differences = [(newest - r) * root for r in residuals[:-1]]
+    newest = newest * root
+    scale = [float(np.sqrt(np.einsum("ij,ij->", d, d))) for d in differences]
     kept = [k for k, size in enumerate(scale) if size > 0]
     if not kept:
         return image
     columns = [differences[k] / scale[k] for k in kept]
-    gram = np.array([[np.einsum("i,ij,ij->", weights, a, b) for b in columns] for a in columns])
-    right = np.array([np.einsum("i,ij,ij->", weights, a, newest) for a in columns])
+    gram = np.array([[np.einsum("ij,ij->", a, b) for b in columns] for a in columns])
+    right = np.array([np.einsum("ij,ij->", a, newest) for a in columns])
     values, vectors = np.linalg.eigh(gram)
     inverse = np.where(values > 1e-6 * values[-1], 1 / np.maximum(values, 1e-300), 0.0)  # the rest is noise
     shares = vectors @ (inverse * (vectors.T @ right))

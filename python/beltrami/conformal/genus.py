@@ -127,7 +127,7 @@ def _loops(ops: CloudOperators) -> tuple[int, float]:
     from ..skeleton import skeleton
 
     try:
-        found = skeleton(ops.shape)
+        found = skeleton(ops.shape, function="eigenfunction")
     except InputError:
         return 0, 0.0  # too few points
     diagonal = float(np.linalg.norm(np.ptp(ops.shape.points, axis=0)))
