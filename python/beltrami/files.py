@@ -211,9 +211,14 @@ def save_fields(shape: Any, fields: Mapping[str, Any], path: Path, *, values: Se
     suffix = path.suffix.lower()
     if suffix == ".npz":
         return written(path, lambda stream: np.savez_compressed(stream, **fields))
+    return save_with(shape, {name: fields[name] for name in values}, path)
+
+
+def save_with(shape: Any, values: Mapping[str, Any], path: Path) -> Path:
+    """The shape with more values at its vertices; of tables each column by itself, as ``name_0``, ``name_1`` ..."""
     data: dict[str, Any] = dict(shape.data)
-    for name in values:
-        columns = np.atleast_2d(fields[name].T)
+    for name, array in values.items():
+        columns = np.atleast_2d(array.T)
         data |= {name if len(columns) == 1 else f"{name}_{at}": np.ascontiguousarray(column) for at, column in enumerate(columns)}
     if isinstance(shape, PointCloud):
         save(PointCloud(shape.points, dimension=shape.dimension, normals=shape.normals, weights=shape.weights, data=data), path)

@@ -17,7 +17,7 @@ from .. import _core, arrays
 from ..arrays import Floats, Ints, csr_in
 from ..clouds import CloudOperators
 from ..errors import Cancelled, InputError, NumericalError
-from ..files import written
+from ..files import save_with, written
 from ..intrinsic import IntrinsicOperators
 from ..operators import Operators, operators
 from ..progress import Progress, reporter
@@ -312,8 +312,7 @@ class SegmentationResult:
         elif suffix in (".obj", ".csv"):
             self.save_contours(path)
         elif suffix == ".ply":
-            members = {"phi": self.phi} if self.phi.ndim == 1 else {f"phi_{k}": np.ascontiguousarray(p) for k, p in enumerate(self.phi.T)}
-            _save_shape(self.shape, {"label": self.labels, **members}, path)
+            save_with(self.shape, {"label": self.labels, "phi": self.phi}, path)
         elif suffix == ".npz":
             starts = np.cumsum([0, *(len(line) for line in self.contours)])
             written(path, lambda stream: np.savez_compressed(stream, **_fields(self), contour_points=_stack(self), contour_starts=starts))
@@ -363,16 +362,6 @@ def _stack(result: SegmentationResult) -> Floats:
 def _fields(result: Any) -> dict[str, Any]:
     kept = {name: value for name, value in vars(result).items() if name not in ("shape", "contours", "history")}
     return {**kept, **{f"history_{name}": values for name, values in result.history.items()}}
-
-
-def _save_shape(shape: Shape, data: dict[str, Any], path: Path) -> None:
-    from ..files import save
-
-    data = {**dict(shape.data), **data}
-    if isinstance(shape, PointCloud):
-        save(PointCloud(shape.points, dimension=shape.dimension, normals=shape.normals, weights=shape.weights, data=data), path)
-    else:
-        save(TriangleMesh(shape.vertices, shape.faces, data=data), path)
 
 
 class _Segmenter:
@@ -881,9 +870,7 @@ class DenoisingResult:
         if suffix in (".png", ".html"):
             self.plot(path=path)
         elif suffix == ".ply":
-            flat = self.image.reshape(len(self.image), -1)
-            names = ["image"] if self.image.ndim == 1 else [f"image_{k}" for k in range(flat.shape[1])]
-            _save_shape(self.shape, {name: np.ascontiguousarray(channel) for name, channel in zip(names, flat.T, strict=True)}, path)
+            save_with(self.shape, {"image": self.image.reshape(len(self.image), -1)}, path)
         elif suffix == ".npz":
             written(path, lambda stream: np.savez_compressed(stream, **_fields(self)))
         else:

@@ -16,7 +16,7 @@ from .. import arrays
 from ..arrays import Floats
 from ..costs import Lagrangian
 from ..errors import InputError
-from ..files import written
+from ..files import save_with, written
 from ..operators import Operators
 from ..progress import Progress
 from ..segment import _Watch
@@ -248,9 +248,7 @@ class Flow:
         if suffix in (".png", ".html"):
             self.plot(path=path, **({"times": min(self.intervals + 1, 33)} if suffix == ".html" else {}))
         elif suffix == ".ply":
-            from ..segment import _save_shape
-
-            _save_shape(self.shape, {f"density_{k}": np.ascontiguousarray(row) for k, row in enumerate(self.density)}, path)
+            save_with(self.shape, {"density": self.density.T}, path)
         elif suffix == ".npz":
             written(path, lambda stream: np.savez_compressed(stream, **self._fields()))
         else:
