@@ -153,6 +153,15 @@ def test_legs_that_the_first_eigenfunction_runs_past_are_found() -> None:
     assert len(np.unique(cloud.limb_of_point[feet])) == 4
 
 
+def test_corners_of_a_window_are_no_limbs() -> None:
+    """Each is 1.5 times as long as the contour that leaves it for both sides is wide."""
+    bars = [2.0 * np.array([(i, j, 0), (i + 1, j, 0)]) for i in range(2) for j in range(3)]
+    bars += [2.0 * np.array([(i, j, 0), (i, j + 1, 0)]) for i in range(3) for j in range(2)]
+    points, _ = tube(bars, 0.25, 8000, np.random.default_rng(0))
+    r = bt.skeleton(bt.PointCloud(points))
+    assert (r.cycles, r.leaves) == (4, 0)
+
+
 def test_a_handle_is_not_given_up_for_limbs() -> None:
     """The eccentricity of a fat ring is greatest along its rim: levels along the handle, which a cloud's sampling breaks."""
     for seed in range(2):

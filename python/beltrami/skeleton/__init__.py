@@ -265,7 +265,7 @@ def skeleton(
         Whether a shape may have several connected pieces: each gets its own skeleton.
     shortest_limb : float
         Limbs that end and are shorter than this share of the length of the function (how far it runs from its minimum to its maximum)
-        are cut; those less than 1.4 times as long as wide always are. They are counted in ``cut``.
+        are cut; those less than 1.6 times as long as wide always are. They are counted in ``cut``.
     remove_outliers : bool
         Leave out points of a cloud that are much farther from their neighbours than others are (beyond the mean and four deviations).
     progress : callable or True, optional

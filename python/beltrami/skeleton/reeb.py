@@ -20,7 +20,7 @@ LONG, HIGH = (
     0.08,
     0.025,
 )  # of the root of the area, and of the function: limbs that stand out. Spot's legs .11, .14; fingers of men .05, .02
-LIMB = 1.4  # a limb is at least this many times longer than it is wide at its root
+LIMB = 1.6  # a limb is at least this many times longer than it is wide at its root; the corner of a square of tubes is 1.5 times
 
 
 @dataclass
