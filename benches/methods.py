@@ -249,7 +249,7 @@ def plot(rows: dict[tuple[str, int], dict[str, str]], path: str) -> None:
                 axis.loglog(*zip(*points, strict=True), "os^vD<>"[at % 7] + "-", ms=4, lw=1.2, label=f"{name}  {slope:.2f}")
         axis.set_title(title)
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=7.5, loc="upper left", title="and its exponent", title_fontsize=7.5)
+        axis.legend(fontsize=7, loc="upper left", title="and its exponent", title_fontsize=7, ncols=2, columnspacing=0.8, handlelength=1.5)
         axis.set_ylim(1e-4, 1e5)
     for axis in axes[1]:
         axis.set_xlabel("vertices")
