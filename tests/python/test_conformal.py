@@ -321,6 +321,13 @@ def test_degenerate_triangles_are_survived() -> None:
     assert any("Delaunay" in note for note in r.notes)
 
 
+def test_limbs_that_round_away_are_refused_in_words() -> None:
+    """Thirty times longer than wide: the ends are below rounding, and no cap of the repair holds a vertex."""
+    ball = bt.shapes.sphere(3)
+    with pytest.raises(bt.NumericalError, match="round away"):
+        bt.spherical_map(bt.TriangleMesh(ball.vertices * [1, 1, 30], ball.faces))
+
+
 def test_small_scaled_and_intrinsic_meshes() -> None:
     corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     tetrahedron = bt.spherical_map(bt.TriangleMesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))

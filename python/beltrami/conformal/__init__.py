@@ -954,7 +954,7 @@ def _patches(neighbours: scipy.sparse.csr_array, s: Floats, seeds: npt.NDArray[n
     def clusters(mask: npt.NDArray[np.bool_]) -> list[Faces]:
         index = np.flatnonzero(mask)
         labels = connected_components(neighbours[index][:, index], directed=False)[1]
-        return [index[labels == label] for label in range(labels.max() + 1)]
+        return [index[labels == label] for label in range(labels.max(initial=-1) + 1)]
 
     if attempt < 2:
         return clusters(grown(seeds, 1 + 2 * attempt))
