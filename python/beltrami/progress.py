@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable
 from typing import TextIO
 
-from .errors import InputError
+from .errors import Cancelled, InputError
 
 Progress = bool | Callable[[float], object] | None
 
@@ -73,3 +74,19 @@ def part(report: Callable[[float], object] | None, start: float, end: float) -> 
     if report is None:
         return None
     return lambda share: report(start + (end - start) * share)
+
+
+class GapWatch:
+    """Progress of an iteration by the logarithm of its gap, from the first one to the tolerance."""
+
+    def __init__(self, progress: Progress, label: str, tolerance: float) -> None:
+        self.report, self.tolerance, self.first, self.share = reporter(progress, label), tolerance, 0.0, 0.0
+
+    def __call__(self, gap: float, done: float) -> None:
+        if self.report is None:
+            return
+        gap = max(gap, 1e-300)
+        self.first = self.first or max(gap, 10 * self.tolerance)
+        self.share = max(self.share, done, min(math.log(self.first / gap) / math.log(self.first / self.tolerance), 1.0))
+        if self.report(float(self.share)) is False:
+            raise Cancelled("stopped on request before the gap was reached")

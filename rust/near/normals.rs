@@ -104,7 +104,7 @@ pub struct PlaneFits {
 /// [`Error::Input`] if lengths do not fit together or a row refers to no point; [`Error::Cancelled`].
 pub fn plane_fits(points: &[f64], dimension: usize, near: &[u32], neighbors: usize, control: &Control) -> Result<PlaneFits> {
     let count = points.len() / dimension.max(1);
-    if dimension == 0 || neighbors == 0 || near.len() % neighbors != 0 || near.iter().any(|&point| point as usize >= count) {
+    if dimension == 0 || neighbors == 0 || !near.len().is_multiple_of(neighbors) || near.iter().any(|&point| point as usize >= count) {
         return Err(Error::input(format!("rows of {neighbors} neighbors do not fit {count} points in R^{dimension}")));
     }
     let queries = near.len() / neighbors;

@@ -16,11 +16,11 @@ import scipy
 from .. import _core, arrays
 from ..arrays import Floats, Ints, csr_in
 from ..clouds import CloudOperators
-from ..errors import Cancelled, InputError, NumericalError
+from ..errors import InputError, NumericalError
 from ..files import save_with, written
 from ..intrinsic import IntrinsicOperators
 from ..operators import Operators, operators
-from ..progress import Progress, reporter
+from ..progress import GapWatch, Progress
 from ..shapes import PointCloud, Shape, TriangleMesh
 from ..solvers import Cholesky, plus_diagonal
 from ..view import Page, Picture
@@ -216,22 +216,6 @@ def _mask(mask: Any, count: int) -> npt.NDArray[np.bool_] | None:
     if not known.any():
         raise InputError("mask is False everywhere; the image must be known somewhere")
     return known.copy()
-
-
-class _Watch:
-    """Progress by the logarithm of the gap."""
-
-    def __init__(self, progress: Progress, label: str, tolerance: float) -> None:
-        self.report, self.tolerance, self.first, self.share = reporter(progress, label), tolerance, 0.0, 0.0
-
-    def __call__(self, gap: float, done: float) -> None:
-        if self.report is None:
-            return
-        gap = max(gap, 1e-300)
-        self.first = self.first or max(gap, 10 * self.tolerance)
-        self.share = max(self.share, done, min(np.log(self.first / gap) / np.log(self.first / self.tolerance), 1.0))
-        if self.report(float(self.share)) is False:
-            raise Cancelled("stopped on request before the gap was reached")
 
 
 # --- segmentation ------------------------------------------------------------------------------------------------------------------
@@ -461,7 +445,7 @@ class _Segmenter:
     def _labels(self, phi: Floats) -> npt.NDArray[np.intp]:
         return (phi[:, 0] > 0.5).astype(np.intp) if self.regions == 2 else phi.argmax(1)
 
-    def run(self, fidelity: float, tolerance: float, most: int, watch: _Watch) -> SegmentationResult:
+    def run(self, fidelity: float, tolerance: float, most: int, watch: GapWatch) -> SegmentationResult:
         surface, elements, mass = self.surface, self.surface.elements, self.surface.mass[:, None]
         channels, radius = (1, 1.0) if self.regions == 2 else (self.regions, 0.5)
         shape = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if surface.tv == "isotropic" else 1))
@@ -808,7 +792,7 @@ def segment_path(
     segmenter = _Segmenter(shape, image, regions, means, mask, tv)
     results = []
     for value in wanted:
-        results.append(segmenter.run(value, wished, most, _Watch(progress, "segment", wished)))
+        results.append(segmenter.run(value, wished, most, GapWatch(progress, "segment", wished)))
         populated = np.bincount(results[-1].labels, minlength=segmenter.regions) > 0
         if not segmenter.given and not populated.all():
             segmenter.means = segmenter.start  # a region died out: the next fidelity begins with all of them
@@ -974,7 +958,7 @@ def denoise(
     w, p = np.zeros(shape_of), np.zeros(shape_of)
     u, right, flux = np.zeros_like(target), np.zeros_like(target), np.zeros_like(target)
     system = _System(surface, pull / penalty)
-    watch = _Watch(progress, "denoise", tolerance)
+    watch = GapWatch(progress, "denoise", tolerance)
     steps: list[tuple[int, float, float, float]] = []
     converged, sweep, best = False, 0, target
     for sweep in range(1, most + 1):

@@ -18,8 +18,7 @@ from ..costs import Lagrangian
 from ..errors import InputError
 from ..files import save_with, written
 from ..operators import Operators
-from ..progress import Progress
-from ..segment import _Watch
+from ..progress import GapWatch, Progress
 from ..shapes import PointCloud, Shape
 from ..view import Page, Picture
 from . import continuity
@@ -427,6 +426,6 @@ def transport(
     problem = Problem(surface, start, end, arrays.whole(intervals, "intervals", 1), Lagrangian(), memory=limit)
     if np.abs(end - start).max() <= 1e-14 * start.max():
         return TransportResult(**still(problem), cost=0.0, distance=0.0)
-    certificate, iterations = continuity.solve(problem, method, wished, most, _Watch(progress, "transport", wished))
+    certificate, iterations = continuity.solve(problem, method, wished, most, GapWatch(progress, "transport", wished))
     fields, cost = flow_fields(problem, certificate, iterations, wished)
     return TransportResult(**fields, cost=cost, distance=float(np.sqrt(2 * max(cost, 0.0))))

@@ -17,8 +17,7 @@ from ..costs import Lagrangian
 from ..errors import InputError
 from ..files import written
 from ..operators import Operators
-from ..progress import Progress
-from ..segment import _Watch
+from ..progress import GapWatch, Progress
 from ..shapes import Shape
 from ..view import Page, Picture
 from . import DENSITY_COLOURS, balanced, density_in, options_in
@@ -238,7 +237,7 @@ def wasserstein_barycenter(
                 made[-1].plain = made[0].plain  # the same equation
         return made
 
-    watch = _Watch(progress, "barycenter", wished)
+    watch = GapWatch(progress, "barycenter", wished)
     joint: _Joint | None = None
     for few in coarser(n):
         joint = _Joint(models(few), joint)

@@ -12,8 +12,7 @@ from ..arrays import Floats
 from ..costs import Cost, Lagrangian
 from ..errors import InputError
 from ..operators import Operators
-from ..progress import Progress
-from ..segment import _Watch
+from ..progress import GapWatch, Progress
 from ..shapes import Shape
 from . import Flow, Method, balanced, continuity, density_in, flow_fields, options_in
 from .continuity import Problem, Surface
@@ -166,7 +165,7 @@ def mean_field_game(
         if end is not None:
             _within(surface, end, "density1", running.upper)
     problem = Problem(surface, start, end, arrays.whole(intervals, "intervals", 1), lagrangian, running, terminal, limit)
-    certificate, iterations = continuity.solve(problem, method, wished, most, _Watch(progress, "game", wished))
+    certificate, iterations = continuity.solve(problem, method, wished, most, GapWatch(progress, "game", wished))
     fields, value = flow_fields(problem, certificate, iterations, wished)
     model, density = certificate.model, fields["density"]
     values = [] if running is None else list(running.value(density) @ surface.mass * surface.total)
