@@ -402,7 +402,11 @@ def sample_density(shape: Shape | Operators, *, weights: Any = None, neighbors: 
         raise InputError("densities of samples are there for clouds")
     points, mass = ops.shape.points, ops.mass
     count = {1: 40, 2: 128, 3: 250}[ops.shape.dimension] if neighbors is None else arrays.whole(neighbors, "neighbors", 2)
-    found = np.exp(-weighted.smoothed(ops, np.log(mass), (~ops.boundary).astype(float), count))
+    smooth = weighted.smoothed(ops, np.log(mass), (~ops.boundary).astype(float), count)
+    if not np.abs(smooth).max() < 690:  # exp(700) is the end of float64
+        power = np.abs(smooth).max() / np.log(10)
+        raise NumericalError(f"a point stands for a volume of about 1e{power:.0f} or its inverse; rescale the cloud")
+    found = np.exp(-smooth)
     given = weights if weights is not None else ops.shape.weights
     if given is not None:
         weight = arrays.floats(given, "weights", (len(points),))

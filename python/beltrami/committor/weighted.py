@@ -314,7 +314,7 @@ def middles(ops: Operators, mesh: Elements) -> Floats:
         lift -= np.einsum("ea,eb,eabD->eD", t, t, ops.second_fundamental_form[end], optimize=True) / 16
     size = np.linalg.norm(lift, axis=1)
     limit = 0.2 * np.linalg.norm(step, axis=1)
-    lift *= np.minimum(1.0, limit / np.maximum(size, 1e-300))[:, None]
+    lift *= np.divide(limit, size, out=np.ones_like(size), where=size > limit)[:, None]
     return middle + lift
 
 
