@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy
-from scipy.sparse.csgraph import connected_components
 
 from ..arrays import Floats
 from ..clouds import CloudOperators
@@ -74,7 +73,7 @@ def largest_ring(ops: CloudOperators) -> int:
     index = np.flatnonzero(ops.boundary)
     if len(index) == 0:
         return 0
-    labels = connected_components(ops.stiffness[index][:, index], directed=False)[1]
+    labels = scipy.sparse.csgraph.connected_components(ops.stiffness[index][:, index], directed=False)[1]
     return int(np.bincount(labels).max())
 
 
