@@ -8,6 +8,8 @@ tangent planes alone tell neither.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import numpy.typing as npt
 import scipy
@@ -19,15 +21,41 @@ from .solvers import Cholesky
 _SIDES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # opposite to each corner of a tetrahedron
 
 
+def _tetrahedra(points: Floats) -> scipy.spatial.Delaunay | None:
+    """Delaunay's tetrahedra, computed beside the main thread so that Ctrl-C need not wait for Qhull."""
+    pool = ThreadPoolExecutor(1)
+    try:
+        return pool.submit(scipy.spatial.Delaunay, points).result()
+    except scipy.spatial.QhullError:
+        return None
+    finally:
+        pool.shutdown(wait=False)
+
+
 def _circumspheres(points: Floats, tetrahedra: Ints) -> tuple[Floats, Floats]:
     """Centres and radii. Flat tetrahedra, of four points on a circle, get the least of their spheres."""
     start = points[tetrahedra[:, 0]]
     edges = points[tetrahedra[:, 1:]] - start[:, None]
-    left, sizes, right = np.linalg.svd(edges)
-    inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 1e-4 * sizes[:, :1])
-    half = np.einsum("tkj,tk->tj", left, (edges**2).sum(2) / 2)
-    centres: Floats = np.einsum("tj,tjk->tk", inverse * half, right)
+    squares = (edges**2).sum(2)
+    normals = np.cross(edges[:, [1, 2, 0]], edges[:, [2, 0, 1]])
+    determinant = (edges[:, 0] * normals[:, 0]).sum(1)
+    centres: Floats = (squares[:, :, None] * normals).sum(1) / (2 * np.where(determinant == 0, 1.0, determinant))[:, None]
+    # the ratio of the least singular value to the greatest is no less than this one's
+    flat = np.flatnonzero(abs(determinant) < 1e-3 * squares.sum(1) ** 1.5)
+    for some in np.array_split(flat, len(flat) // 20_000 + 1):
+        left, sizes, right = np.linalg.svd(edges[some])
+        inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 1e-4 * sizes[:, :1])
+        half = np.einsum("tkj,tk->tj", left, squares[some] / 2)
+        centres[some] = np.einsum("tj,tjk->tk", inverse * half, right)
     return start + centres, np.linalg.norm(centres, axis=1)
+
+
+def _levels(matrix: scipy.sparse.csr_array, right: Floats) -> Floats:
+    """The solution of a diagonally dominant system; only its signs are wanted."""
+    diagonal = matrix.diagonal()
+    preconditioner = scipy.sparse.linalg.LinearOperator(matrix.shape, matvec=lambda x: x.ravel() / diagonal)
+    level, failed = scipy.sparse.linalg.cg(matrix, right, rtol=1e-8, maxiter=2000, M=preconditioner)
+    return Cholesky(matrix).solve(right) if failed else level
 
 
 def _crossing(centres: Floats, radii: Floats, first: Ints, second: Ints) -> Floats:
@@ -84,9 +112,8 @@ def closed_surface(ops: CloudOperators) -> Ints | None:
     box = np.array(np.meshgrid([-10.0, 10.0], [-10.0, 10.0], [-10.0, 10.0])).reshape(3, -1).T
     places = np.concatenate([(points - (lower + upper) / 2) / size, box])
     shaken = places + 1e-8 * np.random.default_rng(0).standard_normal(places.shape)  # many points on one sphere take Qhull for ever
-    try:
-        found = scipy.spatial.Delaunay(shaken)
-    except scipy.spatial.QhullError:
+    found = _tetrahedra(shaken)
+    if found is None:
         return None
     tetrahedra: Ints = found.simplices
     total = len(tetrahedra)
@@ -116,21 +143,23 @@ def closed_surface(ops: CloudOperators) -> Ints | None:
     wishes = scipy.sparse.csr_array((np.concatenate([weight, weight]), both), shape=(total, total))[free]
     matrix = scipy.sparse.csr_array(scipy.sparse.diags_array(degree[free]) - wishes[:, free])
     level = np.ones(total)
-    level[free] = Cholesky(matrix, coordinates=places[tetrahedra[free]].mean(1)).solve(wishes @ outer.astype(np.float64))
+    level[free] = _levels(matrix, wishes @ outer.astype(np.float64))
     inside = level < 0
 
     cut = inside[first] != inside[second]
     surface = triangles[cut]
     within = np.where(inside[first], first, second)[cut]
-    fourth = places[tetrahedra[within].sum(1) - surface.sum(1)] - places[surface[:, 0]]
-    across = np.cross(places[surface[:, 1]] - places[surface[:, 0]], places[surface[:, 2]] - places[surface[:, 0]])
+    # as shaken: four points on a circle have no side otherwise
+    base = shaken[surface[:, 0]]
+    fourth = shaken[tetrahedra[within].sum(1) - surface.sum(1)] - base
+    across = np.cross(shaken[surface[:, 1]] - base, shaken[surface[:, 2]] - base)
     inward = (across * fourth).sum(1) > 0
     surface[inward], across[inward] = surface[inward][:, [0, 2, 1]], -across[inward]
 
     # a lid over an opening has triangles far larger than the spacing; a sheet with noise is no thicker than that
     area = twice[cut] / 2
     large = lengths[cut].max(1) > 3 * ops.point_spacing[surface].max(1) / size
-    volume = (across * places[surface[:, 0]]).sum() / 6
+    volume = (across * base).sum() / 6
     thin = 2 * volume <= area.sum() * float(np.median(ops.point_spacing)) / size
     missed = (twice[agreed] / 2).sum() - area[agreed[cut]].sum()
     if thin or area[large].sum() > 0.05 * area.sum() or missed > 0.05 * area.sum():

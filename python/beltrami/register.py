@@ -118,7 +118,8 @@ def prepare(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SA
 def readings(shape: Shape | Operators, *, modes: int = _MODES, samples: int = _SAMPLES, extrinsic: bool = True) -> list[Side]:
     """:func:`prepare`; of a cloud that samples a closed surface also as this surface, whose orientation both have.
 
-    Where limbs are thin or touch, the local mesh of a cloud tears or leaks; where the surface is coarse, it is the better one.
+    Where limbs are thin or touch, the local mesh of a cloud tears or leaks; where the surface is coarse, it is the better one. Operators
+    that are given are taken as they are.
     """
     whole, ops, single = _given(shape)
     local = _side(whole, ops, single, None, modes, samples, extrinsic)

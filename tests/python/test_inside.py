@@ -49,6 +49,29 @@ def test_symmetric_points_on_circles():
     assert volume(spot.vertices, faces) == pytest.approx(volume(spot.vertices, spot.faces), rel=0.01)
 
 
+def cube(count):
+    at = np.linspace(0, 1, count)
+    points = np.stack(np.meshgrid(at, at, at), -1).reshape(-1, 3)
+    return points[((points == 0) | (points == 1)).any(1)]
+
+
+@pytest.mark.parametrize(
+    ("points", "inside"),
+    [
+        (bt.shapes.torus().vertices, 2 * np.pi**2 * 0.4**2),
+        (bt.shapes.cylinder(closed=True).vertices, np.pi * 0.5**2 * 2),
+        (cube(13), 1.0),
+    ],
+    ids=["torus", "cylinder", "cube"],
+)
+def test_grids_are_turned_alike(points, inside):
+    # flat tetrahedra lie beside a grid's quadrilaterals: each edge still has one triangle on either side, and all look outward
+    faces = surface(points)
+    assert volume(points, faces) == pytest.approx(inside, rel=0.015)  # 32 or 48 points around a circle
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert len(np.unique(edges, axis=0)) == len(edges)
+
+
 def test_moved_scaled_and_renumbered():
     points = uniform_sphere(800, 2) * [1.0, 0.8, 0.3]
     faces = as_set(surface(points))
