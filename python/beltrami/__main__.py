@@ -587,6 +587,14 @@ def register_conformal(options: Options) -> int:
     return DONE if found.converged else NOT_CONVERGED
 
 
+def _only(path: Path) -> npt.NDArray[Any]:
+    """The array of an ``.npy`` file; by its content it may be an ``.npz``, of one array then."""
+    fields = stored(path)
+    if len(fields) != 1:
+        raise FileError(f"{path} holds {len(fields)} arrays ({', '.join(fields) or 'none'}); one is needed, or name the file .npz")
+    return next(iter(fields.values()))
+
+
 def _vertex_pairs(name: str | None) -> npt.NDArray[np.int64] | None:
     """Rows of two vertex numbers from a file."""
     if name is None:
@@ -594,9 +602,11 @@ def _vertex_pairs(name: str | None) -> npt.NDArray[np.int64] | None:
     path = Path(name)
     try:
         if path.suffix.lower() == ".npy":
-            return stored(path)[path.stem]
+            return _only(path)
         lines = [line.replace(",", " ").split() for line in path.read_text(encoding="utf-8-sig").splitlines()]
     except (OSError, ValueError) as error:
+        if isinstance(error, Error):
+            raise
         raise FileError(f"{path} cannot be read: {error}") from None
     rows = []
     for number, words in enumerate(lines, 1):
@@ -975,7 +985,7 @@ def _values(name: str | None, shape: Any) -> tuple[Any, str | None]:
         raise InputError(f"--values {name}: no such file, and the shape has no such field (it has {', '.join(shape.data) or 'none'})")
     try:
         if path.suffix.lower() == ".npy":
-            return stored(path)[path.stem], path.stem
+            return _only(path), path.stem
         if path.suffix.lower() == ".npz":
             count = len(positions(shape))
             fields = {key: array for key, array in stored(path).items() if array.shape == (count,)}

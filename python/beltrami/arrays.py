@@ -3,6 +3,7 @@ that names the element. What is handed in is never changed, and never kept unles
 
 from __future__ import annotations
 
+import contextlib
 import operator
 import os
 from collections.abc import Sequence
@@ -106,8 +107,12 @@ def whole(value: Any, name: str, least: int | None = None, most: int | None = No
     return number
 
 
+# Where Linux tells how much a container may have: control groups of version 2, which may say "max", and of version 1.
+_GROUPS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+
+
 def memory() -> int:
-    """Bytes that this process may have: the machine's, or as few as a limit leaves it."""
+    """Bytes that this process may have: the machine's, or as few as a limit of the process or of its container leaves it."""
     try:
         import resource
 
@@ -115,7 +120,12 @@ def memory() -> int:
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     except (ImportError, OSError, ValueError):
         return 1 << 36  # where the system does not tell: 64 GiB
-    return most if limit == resource.RLIM_INFINITY else min(most, limit)
+    if limit != resource.RLIM_INFINITY:
+        most = min(most, limit)
+    for group in _GROUPS:
+        with contextlib.suppress(OSError, ValueError):  # no such group, or no limit in it
+            most = min(most, int(group.read_text()))
+    return most
 
 
 def room(numbers: float, what: str, remedy: str) -> None:

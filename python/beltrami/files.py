@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import os
 import warnings
@@ -143,18 +144,26 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
         shape = load(shape)
     vertices, faces, fields = _parts(shape)
     kept, lost = _storable(fields)
-    _make_folder(Path(name))
-    lost += _core.save_file(name, vertices, faces, kept, format, bool(ascii), reporter(progress, "save"))
+    made = _make_folder(Path(name))
+    try:
+        lost += _core.save_file(name, vertices, faces, kept, format, bool(ascii), reporter(progress, "save"))
+    except Exception:  # a refusal leaves no folders behind
+        with contextlib.suppress(OSError):  # a part of the file is in it
+            for folder in made:
+                folder.rmdir()
+        raise
     if lost:
         warnings.warn(f"{name} has no place for data {', '.join(map(repr, lost))}; .ply keeps numbers of any type", stacklevel=2)
 
 
-def _make_folder(path: Path) -> None:
-    """Makes the folder that a file is to lie in, so that no long computation is lost for the want of it."""
+def _make_folder(path: Path) -> list[Path]:
+    """Makes the folder that a file is to lie in, so that no long computation is lost for the want of it: what was made, deepest first."""
     try:
+        missing = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         raise _unwritten(path, error) from None
+    return missing
 
 
 def _unwritten(path: Path, error: OSError | ValueError) -> FileError:  # ValueError: a null character in the name

@@ -289,3 +289,37 @@ def test_a_missing_folder_is_made_for_shapes_too(tmp_path, capsys):
     for name in ("a\0/sphere.npz", "a\0.npz"):
         with pytest.raises(bt.FileError, match="cannot be written"):
             bt.eigenpairs(bt.shapes.sphere(1), 3).save(name)
+
+
+def test_a_refused_file_leaves_no_folders(tmp_path):
+    sphere = bt.shapes.sphere(1)
+    for name in ("sphere.what", "sphere.xyz"):  # no format; one that would lose the faces
+        with pytest.raises(bt.FileError):
+            bt.save(sphere, tmp_path / "new" / "deep" / name)
+        assert not list(tmp_path.iterdir())
+    (tmp_path / "new").mkdir()
+    with pytest.raises(bt.FileError):
+        bt.save(sphere, tmp_path / "new" / "deep" / "sphere.what")
+    assert [path.name for path in tmp_path.rglob("*")] == ["new"]
+
+
+@pytest.mark.parametrize("role", ["values", "landmarks"])
+def test_arrays_are_told_by_their_content(role, tmp_path, capsys):
+    """A .npy file that is an archive: its only array, or a refusal; what the reader says is said once."""
+    sphere = bt.shapes.sphere(1)
+    bt.save(sphere, tmp_path / "s.ply")
+    given = str(tmp_path / "z.npy")
+    array = sphere.vertices[:, 2] if role == "values" else np.array([[0, 0], [5, 5], [9, 9]])
+    shape = str(tmp_path / "s.ply")
+    call = ["plot", shape, "--values", given] if role == "values" else ["register-conformal", shape, shape, "--landmarks", given]
+    call += ["--size", "60x40", "-o", str(tmp_path / "out.png")]
+    with open(given, "wb") as stream:
+        np.savez(stream, other=array)
+    assert main(call) in (0, 1)
+    with open(given, "wb") as stream:
+        np.savez(stream, one=array, other=array)
+    assert main(call) == 2
+    assert "holds 2 arrays (one, other)" in capsys.readouterr().err
+    np.save(given, np.array([{}]))
+    assert main(call) == 2
+    assert capsys.readouterr().err.count("cannot be read") == 1

@@ -552,3 +552,12 @@ def test_games_refuse_what_does_not_fit() -> None:
     ):
         with pytest.raises(bt.InputError, match=message):
             call()
+
+
+def test_the_number_of_times_is_an_integer_of_any_width() -> None:
+    a, b = np.ones(len(SPHERE.vertices)), 1.5 + SPHERE.vertices[:, 2]
+    r = bt.transport(SPHERE, a, b, normalize=True, intervals=2, max_iterations=2)
+    look = {"size": (40, 30), "samples": 1}
+    assert r.plot(times=np.int64(2), **look).description == r.plot(times=2, **look).description  # type: ignore[arg-type]
+    with pytest.raises(bt.InputError, match=r"times is 2\.5; a whole number"):
+        r.plot(times=2.5)  # type: ignore[arg-type]

@@ -226,7 +226,7 @@ class Flow:
         from ..view import plot
         from .film import film
 
-        counted = isinstance(times, int)
+        counted = np.ndim(arrays.anything(times, "times")) == 0
         chosen = np.linspace(0, 1, arrays.whole(times, "times", 1, 1000)) if counted else arrays.floats(times, "times", (None,))
         if len(chosen) == 0:
             raise InputError("times is empty; name at least one")
