@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+from pathlib import Path
+
 import beltrami as bt
 import numpy as np
 import pytest
@@ -431,3 +434,26 @@ def test_plots(spot: bt.SphericalMapResult, tmp_path) -> None:
     assert spot.plot(path=tmp_path / "spot.png", size=(200, 150)).path.exists()
     with pytest.raises(bt.InputError):
         spot.plot("colour")
+
+
+def test_moving_a_map_tells_its_flips_once() -> None:
+    r = bt.spherical_map(bt.shapes.ellipsoid(level=2))
+    a, b, c = r.faces[7]
+    positions = r.positions.copy()
+    positions[a] = 1.2 * (positions[b] + positions[c]) / 2 - 0.2 * positions[a]  # over the edge b c: one triangle is turned over
+    positions[a] /= np.linalg.norm(positions[a])
+    still = replace(r, positions=positions, notes=("kept",))
+    for _ in range(3):
+        still = still.moved(bt.Moebius.translation([0.1, 0.0, 0.0]))
+        assert still.flipped == 1
+        assert still.notes == ("kept", "1 triangle is still flipped: 7")
+
+
+def test_an_archive_holds_all_numbers_of_the_map(spot: bt.SphericalMapResult, tmp_path: Path) -> None:
+    assert spot.image_areas.shape == (len(spot.positions),)  # kept with the result once it was asked for, but no field of it
+    with np.load(spot.save(tmp_path / "map.npz")) as kept:
+        told = {one.name for one in fields(spot)} - {"shape", "history", "notes"} | {f"history_{name}" for name in spot.history}
+        assert set(kept.files) == told
+        for name in told:
+            expected = spot.history[name[8:]] if name.startswith("history_") else getattr(spot, name)
+            np.testing.assert_array_equal(kept[name], expected)

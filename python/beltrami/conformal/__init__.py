@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 Faces = npt.NDArray[np.int64]
 
 __all__ = ["SphericalMapResult", "spherical_map"]
+
+STILL_FLIPPED = "still flipped"  # in the note that says how many are
 
 
 # --- the result ---------------------------------------------------------------------------------------------------------------------
@@ -66,7 +68,8 @@ class SphericalMapResult:
     angle_error : ndarray (m,)
         Mean change of a triangle's three angles, in radians.
     dilatation : ndarray (m,)
-        Ratio of the greater to the smaller stretch of each triangle: 1 where it is conformal.
+        Ratio of the greater to the smaller stretch of each triangle: 1 where it is conformal, infinite where the triangle or its
+        image has no area.
     iterations : int
     converged : bool
     history : dict of str to ndarray
@@ -210,7 +213,8 @@ class SphericalMapResult:
             surface.mass = operators(self.shape).mass / size**2
         trace = _Trace(list(self.history["move"]), list(self.history["excess"]), self.converged)
         folded = None if weights is None else np.zeros(len(faces), bool)
-        made = _certified(self.shape, surface, moebius(self.positions), size, trace, self.notes, folded)
+        notes = self.notes if folded is not None else tuple(note for note in self.notes if STILL_FLIPPED not in note)  # told anew
+        made = _certified(self.shape, surface, moebius(self.positions), size, trace, notes, folded)
         return made if weights is None else replace(made, flipped=self.flipped)
 
     def with_landmarks(self, vertices: npt.ArrayLike, directions: npt.ArrayLike) -> SphericalMapResult:
@@ -292,7 +296,8 @@ class SphericalMapResult:
         return spherical.fit_harmonics(self.positions, self.image_areas, given.reshape(len(given), -1), degree)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes everything to ``.npz``, the shape with positions on the sphere and factor to ``.ply``, a picture to ``.png`` or ``.html``.
+        """Writes all arrays and numbers of the map to ``.npz`` (the histories as ``history_move`` and ``history_excess``; neither the
+        shape nor the notes), the shape with positions on the sphere and factor to ``.ply``, a picture to ``.png`` or ``.html``.
 
         Raises
         ------
@@ -308,8 +313,9 @@ class SphericalMapResult:
             return file
         if suffix not in (".npz", ".ply"):
             raise InputError(f"{file}: a map to the sphere is written to .npz, .ply, .png or .html")
-        names = ("positions", "conformal_factor", "faces", "angle_error", "dilatation", "energy", "area", "flipped")
-        return save_fields(self.shape, {name: getattr(self, name) for name in names}, file, values=names[:2])
+        kept = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("shape", "history", "notes")}
+        kept |= {f"history_{name}": column for name, column in self.history.items()}
+        return save_fields(self.shape, kept, file, values=("positions", "conformal_factor"))
 
     def plot(
         self,
@@ -1185,7 +1191,7 @@ def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult
     if fill and mesh.is_manifold and mesh.boundary_loops:
         points, triangles = _filled(source)
         whole = TriangleMesh(points, triangles.astype(np.int32))
-        notes.append(f"{mesh.boundary_loops} holes were filled for the map")
+        notes.append(f"{mesh.boundary_loops} hole{'s were' if mesh.boundary_loops > 1 else ' was'} filled for the map")
     faces = _sphere_mesh(whole)
     vertices, size = _scaled(whole.vertices)
     if vertices.shape[1] == 3:
@@ -1389,7 +1395,8 @@ def _certified(
                 "or thicken it"
             )
     if len(wrong):
-        notes += (f"{len(wrong)} triangles are still flipped, the first is {wrong[0]}",)
+        who = f"{len(wrong)} triangles are {STILL_FLIPPED}, the first is" if len(wrong) > 1 else f"1 triangle is {STILL_FLIPPED}:"
+        notes += (f"{who} {wrong[0]}",)
     weights = np.ones(len(faces)) if surface.weights is None else surface.weights
     _, image = _corner_cotangents(s, faces)
     lumped = _lumped(image * weights, faces, surface.count)
@@ -1399,7 +1406,7 @@ def _certified(
     each = 0.25 * sum(surface.cotangents[:, k] * _rows(e[k], e[k]) for k in range(3)) / weights
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.maximum(each / image, 1.0)
-        dilatation = np.where(image > 0, ratio + np.sqrt(ratio * ratio - 1), np.inf)
+        dilatation = np.where(ratio < np.inf, ratio + np.sqrt(ratio * ratio - 1), np.inf)
     return SphericalMapResult(
         shape,
         s,
