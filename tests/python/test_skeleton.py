@@ -508,3 +508,10 @@ def test_a_function_of_noise_ends_and_says_so() -> None:
     assert minima - saddles + maxima == 0
     assert len(r.cut) > 100
     assert r.cycles == 1 or any("too many" in note for note in r.notes)
+
+
+@pytest.mark.parametrize("shape", [bt.shapes.torus(1.0, 0.3), bt.shapes.figure_eight()], ids=["torus", "figure eight"])
+def test_rings_within_each_other_are_the_sides_of_a_hole_on_clouds_too(shape):
+    # cut by height, a torus that lies flat shows two circles of one middle
+    up = shape.vertices[:, 2]
+    assert bt.skeleton(bt.PointCloud(shape.vertices), function=up).cycles == bt.skeleton(shape, function=up).cycles > 0

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from .. import _core
 from ..arrays import Floats, Ints
+from ..near import nearest_neighbors
 from .complexes import Complex, Indices, sides, unique_edges
 
 LEVELS = 150  # at most, beside those between critical vertices
@@ -217,20 +218,27 @@ class ReebGraph:
                 break
         return heights
 
+    def _gap(self, one: int, other: int) -> float:
+        """Least distance between the points of two groups of contours."""
+        first, second = (self.points[self.point_group == group] for group in (one, other))
+        return float(nearest_neighbors(first, second, 1)[1].min())
+
     def _spurious(self, first: list[int], second: list[int], height: float, spacing: float, step: float) -> bool:
         """Whether two sides of a loop are no two tubes: one is thinner than the sampling shows, or an arc of the ring that the other
-        completes, or within the other, or the loop is but one level high and its sides touch."""
+        completes, or within the other and near it, or the loop is but one level high and its sides touch."""
         radius = [float(np.median(self.radii[side])) for side in (first, second)]
         if min(radius) < 0.75 * spacing:
             return True
         level = (self.arc[first].min() + self.arc[first].max()) / 2
         middle = [min(side, key=lambda group: (abs(self.arc[group] - level), group)) for side in (first, second)]
         apart = float(np.linalg.norm(self.centers[middle[0]] - self.centers[middle[1]]))
+        whole = max(self.opening([group]) for group in middle) <= 1.8
         if apart < 1.05 * sum(self.radii[middle]):
-            return True
+            # rings one within the other may be the two sides of a hole, as where a torus that lies flat is cut by height
+            return not (whole and self._gap(*middle) > 3 * spacing)
         if height < 1.5 * step and apart < 1.6 * sum(self.radii[middle]):
             return True
-        if max(self.opening([middle[0]]), self.opening([middle[1]])) <= 1.8:
+        if whole:
             return False
         # two arcs: of one ring, unless they lie far apart and make no ring together, as in an open scan
         return apart < 2.5 * sum(self.radii[middle]) or self.opening(middle) < 1.8
