@@ -368,7 +368,7 @@ def segment(options: Options) -> int:
     rows += [("proved lower bound", r.dual), ("relative gap", r.gap), ("excess of the labels", r.excess), ("iterations", r.iterations)]
     print()
     table([*rows, ("converged", r.converged)])
-    write(options, shape, {"label": r.labels, "phi": r.phi}, {"region": r.labels}, result=r, lines=r.contours or None, **look)
+    write(options, shape, {"labels": r.labels, "phi": r.phi}, {"region": r.labels}, result=r, lines=r.contours or None, **look)
     return DONE if r.converged else _unfinished(r)
 
 

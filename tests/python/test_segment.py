@@ -414,7 +414,7 @@ def test_save_and_plot(tmp_path):
     with np.load(tmp_path / "a.npz") as kept:
         assert np.array_equal(kept["labels"], r.labels)
         assert kept["gap"] == r.gap
-    assert np.array_equal(bt.load(tmp_path / "a.ply").data["label"], r.labels)
+    assert np.array_equal(bt.load(tmp_path / "a.ply").data["labels"], r.labels)
     rows = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
     assert np.array_equal(rows[:, 2:], np.concatenate(r.contours))
     text = (tmp_path / "a.obj").read_text()

@@ -296,7 +296,7 @@ class SegmentationResult:
         elif suffix in (".obj", ".csv"):
             self.save_contours(path)
         elif suffix == ".ply":
-            save_with(self.shape, {"label": self.labels, "phi": self.phi}, path)
+            save_with(self.shape, {"labels": self.labels, "phi": self.phi}, path)
         elif suffix == ".npz":
             starts = np.cumsum([0, *(len(line) for line in self.contours)])
             written(path, lambda stream: np.savez_compressed(stream, **_fields(self), contour_points=_stack(self), contour_starts=starts))
