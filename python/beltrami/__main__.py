@@ -786,7 +786,7 @@ def _skeleton_options(parser: argparse.ArgumentParser) -> None:
     _cloud_options(parser)
 
 
-@command("skeleton", "a curve along the middle: the Reeb graph of the first eigenfunction", _skeleton_options)
+@command("skeleton", "a curve along the middle: the Reeb graph of an eigenfunction or of the eccentricity", _skeleton_options)
 def skeleton(options: Options) -> int:
     for name in options.out or []:
         if Path(name).suffix.lower() not in (".swc", ".obj", ".npz", ".png", ".html"):

@@ -1,4 +1,4 @@
-"""Skeletons of meshes and point clouds: the Reeb graph of the first eigenfunction, drawn along the middle of the shape (section 8.3.2)."""
+"""Skeletons of meshes and point clouds: the Reeb graph of an eigenfunction or of what they make, drawn along the middle (section 8.3.2)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class SkeletonResult:
     contours : list of ndarray (c, D)
         Points of the level set that each node stands for, in order around it; empty at some joints.
     function : ndarray (n,)
-        What the levels are of.
+        What the levels are of, read-only; numbers that were handed in as they were.
     eigenvalues : ndarray
         The first eigenvalues of the (first) piece if the function is made of eigenfunctions; else empty.
     critical : tuple of int
@@ -244,11 +244,11 @@ def skeleton(
     remove_outliers: bool = False,
     progress: Progress = None,
 ) -> SkeletonResult:
-    """The skeleton of a shape: the Reeb graph of its first eigenfunction, drawn along its middle.
+    """The skeleton of a shape: the Reeb graph of its first eigenfunction, or of its eccentricity, drawn along its middle.
 
-    The first nontrivial eigenfunction of the Laplace-Beltrami operator runs along a shape from end to end. Its level sets, split into
-    connected pieces, are rings around limbs; their barycentres are nodes, and neighbouring rings are joined. So the graph branches
-    and closes loops as the shape does.
+    The first nontrivial eigenfunction of the Laplace-Beltrami operator runs along a shape from end to end; where that misses limbs, the
+    eccentricity, made of six eigenfunctions, takes its place. The level sets, split into connected pieces, are rings around limbs; their
+    barycentres are nodes, and neighbouring rings are joined. So the graph branches and closes loops as the shape does.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def skeleton(
         complex_ = mesh_complex(operators(shape))
     labels = _pieces(complex_, components, notes)
     parts = []
-    function_out = np.zeros(count) if values is None else values
+    function_out = np.full(count, np.nan) if values is None else values.copy()
     eigenvalues = np.zeros(0)
     for name in range(int(labels.max()) + 1):
         members = np.flatnonzero(labels == name)
@@ -618,8 +618,8 @@ def _assembled(
         known = np.flatnonzero(owners >= 0)
         nearest = nearest_neighbors(np.ascontiguousarray(complex_.points[known]), coordinates[missing], 1)[0][:, 0]
         node_of_point[missing] = owners[known[nearest]]
-        function = function.copy()
-        function[missing] = function[complex_.origin[known[nearest]]]
+        unknown = np.isnan(function[missing])  # the user's own values stay
+        function[missing[unknown]] = function[complex_.origin[known[nearest[unknown]]]]
     pairs = np.concatenate([np.stack([limb[:-1], limb[1:]], 1) for limb in limbs]) if limbs else np.zeros((0, 2), np.int32)
     edges = unique_edges(pairs[pairs[:, 0] != pairs[:, 1]])
     limb_of_node = np.full(len(places), -1, np.int32)
@@ -642,7 +642,7 @@ def _assembled(
         limb_of_node=limb_of_node,
         components=np.array(pieces, np.int32),
         contours=contours,
-        function=function,
+        function=arrays.read_only(function),
         eigenvalues=eigenvalues,
         critical=(minima, saddles, maxima),
         cut=cut,

@@ -248,7 +248,7 @@ def center(drawing: Drawing, section: Section | None) -> None:
     _thin(drawing, count)
     if section is not None and section.mesh is not None:
         _settle(drawing, section)
-        _inwards(drawing, section)
+        _measure(drawing, section, _inwards(drawing, section))
 
 
 def _thin(drawing: Drawing, count: int) -> None:
@@ -301,24 +301,46 @@ def _settle(drawing: Drawing, section: Section) -> None:
     drawing.nodes = best
 
 
-def _inwards(drawing: Drawing, section: Section) -> None:
-    """Nodes outside of a closed mesh move halfway to a neighbour that is inside, until they are inside too."""
-    around: dict[int, set[int]] = defaultdict(set)
+def _around(drawing: Drawing) -> list[list[int]]:
+    """The neighbours of each node."""
+    around: list[set[int]] = [set() for _ in drawing.nodes]
     for chain in drawing.chains:
         for a, b in itertools.pairwise(chain):
             around[a].add(b)
             around[b].add(a)
-    everyone = np.arange(len(drawing.nodes))
-    outside = everyone[~section.holds(drawing.nodes)]
+    return [sorted(others) for others in around]
+
+
+def _inwards(drawing: Drawing, section: Section) -> Indices:
+    """Nodes outside of a closed mesh move halfway to a neighbour that is inside, until they are inside too: those that moved."""
+    around = _around(drawing)
+    first = drawing.nodes.copy()
+    outside = np.flatnonzero(~section.holds(drawing.nodes))
     for _ in range(8):
         if len(outside) == 0:
-            return
+            break
         lost = set(outside.tolist())
         for node in outside.tolist():
-            inside = sorted(around[node] - lost)
+            inside = [other for other in around[node] if other not in lost]
             if inside:
                 drawing.nodes[node] = (drawing.nodes[node] + drawing.nodes[inside].mean(0)) / 2
         outside = outside[~section.holds(drawing.nodes[outside])]
+    return np.flatnonzero((drawing.nodes != first).any(1))
+
+
+def _measure(drawing: Drawing, section: Section, moved: Indices) -> None:
+    """Radii where the nodes have come to lie: of those inside of limbs, and of those that were ``moved`` from outside."""
+    around = _around(drawing)
+    chosen = {*moved.tolist(), *(node for node, others in enumerate(around) if len(others) == 2)}
+    ends = [(node, around[node][0], around[node][-1] if len(around[node]) > 1 else node) for node in sorted(chosen) if around[node]]
+    if not ends:
+        return
+    nodes, first, last = np.array(ends).T
+    along = drawing.nodes[last] - drawing.nodes[first]
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
+    distances, u, v = section(drawing.nodes[nodes], along, drawing.radii[nodes], np.zeros(len(nodes), np.int32))
+    _, mean, good = _middle(distances, u, v, section.turn)
+    drawing.radii[nodes[good]] = mean[good]
 
 
 def _fill(drawing: Drawing) -> None:
@@ -445,13 +467,9 @@ def _middle(distances: Floats, u: Floats, v: Floats, turn: Floats) -> tuple[Floa
 
 def descended(drawing: Drawing, points: Floats, owners: Indices) -> Indices:
     """Moves each point's node along the graph as long as that brings it nearer."""
-    around: list[set[int]] = [set() for _ in drawing.nodes]
-    for chain in drawing.chains:
-        for a, b in itertools.pairwise(chain):
-            around[a].add(b)
-            around[b].add(a)
+    around = _around(drawing)
     width = max(map(len, around), default=0)
-    table = np.array([[node, *sorted(other), *[node] * (width - len(other))] for node, other in enumerate(around)])
+    table = np.array([[node, *others, *[node] * (width - len(others))] for node, others in enumerate(around)])
     owners = owners.copy()
     moving = np.arange(len(owners))
     while len(moving):

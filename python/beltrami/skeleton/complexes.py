@@ -20,8 +20,6 @@ from ..shapes import PointCloud, TriangleMesh
 Indices = npt.NDArray[np.int64]
 
 NOISY = 0.03  # share of the variance of 8 neighbours across the surface; .006 on coarse clean samples, .1 under noise of a spacing
-
-
 AWAY = 0.008  # share of neighbours more than 70 degrees apart: up to .005 where a shape is sampled well, .009 and more where parts touch
 
 

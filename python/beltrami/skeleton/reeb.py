@@ -17,10 +17,8 @@ from .complexes import Complex, Indices, sides, unique_edges
 
 LEVELS = 150  # at most, beside those between critical vertices
 CROSSINGS = 5_000_000  # of edges and levels between critical vertices, at most: a function of noise has thousands of levels
-LONG, HIGH = (
-    0.08,
-    0.025,
-)  # of the root of the area, and of the function: limbs that stand out. Spot's legs .11, .14; fingers of men .05, .02
+LONG = 0.08  # of the root of the area: limbs that stand out are longer; Spot's legs .11, .14, fingers of men .05
+HIGH = 0.025  # of the range of the function: and higher; fingers of men .02
 LIMB = 1.6  # a limb is at least this many times longer than it is wide at its root; the corner of a square of tubes is 1.5 times
 
 
@@ -349,7 +347,7 @@ class Limb:
 
 
 class SimplifiedGraph:
-    """The Reeb graph without stubs. ``home`` says for each group whose branch fell to which joint."""
+    """The Reeb graph without stubs. ``fallen`` holds for each joint the groups of the limbs cut there."""
 
     def __init__(self, graph: ReebGraph) -> None:
         self.graph = graph
@@ -412,7 +410,7 @@ class SimplifiedGraph:
         for group, beside in self.stray:
             limb_of_group[group] = limb_of_group[beside]
         limb_of_vertex = limb_of_group[graph.group_of_vertex()]
-        seen = {int(limb_of_vertex[vertex]) for _, _, vertex in other.tips()}
+        seen = {int(limb_of_vertex[vertex]) for _, _, vertex in other.tips() if vertex >= 0}
         found = 0
         for number, end, _ in self.tips():
             rise = np.ptp(graph.values[limb_of_vertex == number]) / np.ptp(graph.values)
