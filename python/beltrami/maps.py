@@ -180,6 +180,9 @@ def transfer(
     table = np.asarray(values)
     if table.ndim == 0 or table.dtype.kind not in "buif":
         raise InputError("values needs a row of numbers or labels a point")
+    if table.dtype.kind == "f" and not np.isfinite(table).all():
+        row = int(np.flatnonzero(~np.isfinite(table.reshape(len(table), -1)).all(1))[0])
+        raise InputError(f"values[{row}] is not finite; leave such points out of the map, or give them a number")
     if direction == "to_source":
         image = arrays.indices(point_map, "point_map", len(table))
         return np.ascontiguousarray(table[image])

@@ -717,6 +717,9 @@ class RegistrationResult:
         from .maps import transfer
 
         if direction == "to_source":
+            points = self.target.points if isinstance(self.target, PointCloud) else self.target.vertices
+            if np.ndim(values) and len(np.asarray(values)) != len(points):
+                raise InputError(f"values has {len(np.asarray(values))} rows; the target has {len(points)} points")
             return transfer(self.point_map, values)
         return transfer(self.point_map, values, direction=direction, target=self.target, weights=self.source_masses)
 

@@ -105,3 +105,12 @@ def test_what_does_not_fit_is_refused(torus):
     for call in calls:
         with pytest.raises(bt.InputError):
             call()
+
+
+def test_what_is_carried_over_fits_the_target_and_is_finite():
+    source, target = (bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=level) for level in (3, 2))
+    found = bt.register(source, target, modes=20)
+    with pytest.raises(bt.InputError, match="642 rows; the target has 162"):
+        found.transfer(source.vertices[:, 0])
+    with pytest.raises(bt.InputError, match=r"values\[3\] is not finite"):
+        found.transfer(np.where(np.arange(162) == 3, np.nan, 1.0))
