@@ -34,7 +34,9 @@ def few_and_all(few):
 
 
 @pytest.mark.parametrize("start", [m for m in ("fork", "forkserver", "spawn") if m in multiprocessing.get_all_start_methods()])
-@pytest.mark.parametrize("methods", [["eigenpairs", "normals"], pytest.param(list(test_sweep.METHODS), marks=pytest.mark.slow)], ids=len)
+@pytest.mark.parametrize(
+    "methods", [["eigenpairs", "normals", "sample_density"], pytest.param(list(test_sweep.METHODS), marks=pytest.mark.slow)], ids=len
+)
 def test_child_processes_answer_as_their_parent(start, methods):
     code = f"""
 import multiprocessing, test_sweep

@@ -17,8 +17,8 @@ impl TriangulationArrays<'_> {
         let faces: &[[u32; 3]] =
             bytemuck::try_cast_slice(table(&self.1)?.0).map_err(|e| error::input(self.1.py(), format!("triangles: {e}")))?;
         let twins: &[u32] = bytemuck::cast_slice(table(&self.2)?.0);
-        IntrinsicTriangulation::from_parts(self.0, faces.to_vec(), twins.to_vec(), table(&self.3)?.0.to_vec(), self.4)
-            .map_err(|e| error::convert(self.1.py(), e))
+        let (vertices, lengths, cover) = (self.0, table(&self.3)?.0, self.4);
+        run::brief(self.1.py(), || IntrinsicTriangulation::from_parts(vertices, faces.to_vec(), twins.to_vec(), lengths.to_vec(), cover))
     }
 }
 

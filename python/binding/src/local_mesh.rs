@@ -1,7 +1,7 @@
 //! Local meshes of point clouds.
 
 use crate::convert::{CsrParts, matrix_out, table, table_out, vector, vector_out};
-use crate::{error, run};
+use crate::run;
 use beltrami::operators::{LocalMeshOptions, VotedSimplices};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -21,9 +21,11 @@ impl SimplexArrays<'_> {
         let (points, ambient) = table(&self.0)?;
         let (corners, columns) = table(&self.1)?;
         let stretch = self.3.as_ref().map(vector).transpose()?;
-        VotedSimplices::new(points, ambient, columns.saturating_sub(1), bytemuck::cast_slice(corners), vector(&self.2)?)
-            .and_then(|simplices| stretch.map_or(Ok(simplices), |stretch| simplices.stretched(stretch)))
-            .map_err(|e| error::convert(self.0.py(), e))
+        let votes = vector(&self.2)?;
+        run::brief(self.0.py(), || {
+            VotedSimplices::new(points, ambient, columns.saturating_sub(1), bytemuck::cast_slice(corners), votes)
+                .and_then(|simplices| stretch.map_or(Ok(simplices), |stretch| simplices.stretched(stretch)))
+        })
     }
 }
 
