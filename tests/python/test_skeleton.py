@@ -190,6 +190,28 @@ def test_the_eccentricity_sees_every_limb_and_needs_some() -> None:
     assert any("constant" in note for note in r.notes)
 
 
+@pytest.mark.parametrize("count", [None, 500, 2000])
+def test_the_eccentricity_of_a_sphere_is_constant(count: int | None) -> None:
+    """Of the five copies of its second eigenvalue three are among the first six functions: they must not count."""
+    if count is None:
+        r = bt.skeleton(bt.shapes.sphere(), function="eccentricity")
+    else:
+        points = np.random.default_rng(1).normal(size=(count, 3))
+        r = bt.skeleton(bt.PointCloud(points / np.linalg.norm(points, axis=1)[:, None]), function="eccentricity")
+    assert any("eccentricity is constant" in note for note in r.notes)
+    assert len(r.eigenvalues) == 6
+
+
+def test_the_eccentricity_is_weighted_by_area() -> None:
+    """An ellipsoid nearly without limbs, sampled ten times as densely where it is thin."""
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(12000, 3))
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    x = x[rng.random(len(x)) < np.where(np.abs(x[:, 2]) < 0.4, 1.0, 0.1)]
+    r = bt.skeleton(bt.PointCloud(x * [1.0, 1.0, 1.3]))
+    assert (r.leaves, r.cycles) == (2, 0)
+
+
 def test_ties_are_broken_by_number() -> None:
     """A grid's height takes few values: the count of critical vertices is exact all the same."""
     mesh = bt.shapes.torus(1.0, 0.4, rows=24, columns=12)

@@ -29,7 +29,9 @@ __all__ = ["SkeletonResult", "skeleton"]
 
 MULTIPLE = 1.15  # eigenvalues up to this factor of the first count as copies of it
 IDLE = 0.05  # share of the area with slopes below a tenth of the mean, beyond which another eigenfunction may be added
-VARIED = 0.5  # of its mean: the least range of an eccentricity that says something; .16 on spheres, .9 to 12 where there are limbs
+FADING = 0.1  # relative distance to the sixth eigenvalue; copies of a multiple one lie up to .015 apart in a sphere of 500 points
+CONSTANT = 0.1  # of its mean: up to this range an eccentricity shows the sampling; .08 on spheres of 500 points, .02 of 2,000
+VARIED = 0.5  # and up to this it has no limbs: .5 on an ellipsoid of axes 1, 1, 1.3; .9 to 12 where there are limbs
 GAIN = 1.35  # in the mean logarithm of squared slopes that justifies it: 1.5 to 3 for limbs in the nodal set, up to 1.3 else
 
 
@@ -289,9 +291,10 @@ def skeleton(
     that the sampling makes are cancelled: one side thinner than the sampling shows, or an arc and no ring. ``cancelled`` and
     ``stability`` say how sure that is.
 
-    The eccentricity of a point is its mean squared biharmonic distance from all points, without the constant: the sum of φ_k² / λ_k² over
-    the first six eigenfunctions. A limb stands out if it is longer than 8 % of the square root of the area, from where it leaves the
-    body to its tip, and more than 2.5 % of the function high.
+    The eccentricity of a point is its mean squared biharmonic distance from all points, without the constant: the sum of
+    φ_k² / λ_k² over the first six eigenfunctions. The seventh and eighth count the less the farther above the sixth eigenvalue theirs lie,
+    from 10 % on nothing, so that the sum does not depend on which functions of a multiple eigenvalue come first. A limb stands out if it
+    is longer than 8 % of the square root of the area, from where it leaves the body to its tip, and more than 2.5 % of the function high.
 
     Where eigenvalues up to 15 % above the first make a multiple one, the combination is taken whose slope varies least over the
     surface, and a note says so.
@@ -378,19 +381,22 @@ def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: li
 
     If none is asked for: the eigenfunction, unless limbs stand out that it runs past.
     """
-    count = min(7, len(complex_.mass))
+    count = min(9, len(complex_.mass))
     matrix = arrays.csr_in(complex_.stiffness, "the stiffness")
     pairs = _core.eigenpairs(matrix, complex_.mass, None, count, None, complex_.points, None, part(report, 0.4, 0.7))
     values, functions = pairs[0][1:], pairs[1][:, 1:]
-    centric = ((functions / np.abs(functions).max() / (values / values[0])) ** 2).sum(1)  # free of units
-    varied = np.ptp(centric) / centric.mean()
-    if function == "eccentricity" and varied > 1e-6:
+    # free of units; six, and those after them fade as they get farther: all copies of a multiple eigenvalue count, or none
+    weights = (values[0] / values) ** 2 * np.clip(1 - (values / values[:6][-1] - 1) / FADING, 0.0, 1.0)
+    centric = (functions / np.abs(functions[:, :6]).max()) ** 2 @ weights
+    values, functions = values[:6], functions[:, :6]
+    varied = np.ptp(centric) * complex_.mass.sum() / max(float(complex_.mass @ centric), 1e-300)
+    if function == "eccentricity" and varied > CONSTANT:
         return centric, _cut(complex_, centric, shortest_limb, part(report, 0.7, 0.9)), values
     said: list[str] = []
     first = _first_function(complex_, values, functions, said)
     cut = _cut(complex_, first, shortest_limb, part(report, 0.7, 0.8))
     if function == "eccentricity":
-        notes.append("the eccentricity is constant on a piece; its first eigenfunction was taken")
+        notes.append("the eccentricity is constant on a piece, but for its sampling; its first eigenfunction was taken")
     if function is None and varied > VARIED:
         other = _cut(complex_, centric, shortest_limb, part(report, 0.8, 0.9))
         missed = other.simple.beyond(cut.simple, float(np.sqrt(complex_.mass.sum())))
