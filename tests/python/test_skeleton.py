@@ -202,16 +202,6 @@ def test_the_eccentricity_of_a_sphere_is_constant(count: int | None) -> None:
     assert len(r.eigenvalues) == 6
 
 
-def test_the_eccentricity_is_weighted_by_area() -> None:
-    """An ellipsoid nearly without limbs, sampled ten times as densely where it is thin."""
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(12000, 3))
-    x /= np.linalg.norm(x, axis=1)[:, None]
-    x = x[rng.random(len(x)) < np.where(np.abs(x[:, 2]) < 0.4, 1.0, 0.1)]
-    r = bt.skeleton(bt.PointCloud(x * [1.0, 1.0, 1.3]))
-    assert (r.leaves, r.cycles) == (2, 0)
-
-
 def test_ties_are_broken_by_number() -> None:
     """A grid's height takes few values: the count of critical vertices is exact all the same."""
     mesh = bt.shapes.torus(1.0, 0.4, rows=24, columns=12)
