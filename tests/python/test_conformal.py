@@ -457,3 +457,12 @@ def test_an_archive_holds_all_numbers_of_the_map(spot: bt.SphericalMapResult, tm
         for name in told:
             expected = spot.history[name[8:]] if name.startswith("history_") else getattr(spot, name)
             np.testing.assert_array_equal(kept[name], expected)
+
+
+def test_holes_are_filled_where_triangles_have_no_area():
+    grid = bt.shapes.grid(4, 3)
+    vertices = grid.vertices.copy()
+    vertices[7] = vertices[5]  # triangles between them have no area
+    found = bt.spherical_map(bt.TriangleMesh(vertices, grid.faces), fill_holes=True)
+    assert np.isfinite(found.conformal_factor).all()
+    assert np.isfinite(found.angle_error).all()

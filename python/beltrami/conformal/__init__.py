@@ -1202,11 +1202,13 @@ def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult
     surface = _Surface(vertices, faces)
     work = TriangleMesh(vertices, faces.astype(np.int32))
     found: list[tuple[Floats, _Trace]] = []
+    regular = False
     try:
         found.append(task.iterate(surface, operators(work, laplacian="cotangent").stiffness))
     except (InputError, NumericalError) as error:
         notes.append(f"cotangents cannot be used ({error}); intrinsic Delaunay weights instead")
         surface.regularize()
+        regular = True
     if not found or surface.flipped(found[0][0]).sum() > 0.01 * len(faces):
         found.append(task.iterate(surface, operators(work, laplacian="intrinsic_delaunay").stiffness, energy_only=True))
         if len(found) == 2:
@@ -1225,6 +1227,8 @@ def _map_mesh(mesh: TriangleMesh, fill: bool, task: _Task) -> SphericalMapResult
         surface = _Surface(vertices[: len(mesh.vertices)], own)
         if not surface.mass.sum() > 0:
             raise InputError("no triangle of the surface has an area: only the holes that were filled have; give another shape")
+        if regular:
+            surface.regularize()
         s = _centred(s[: len(mesh.vertices)], surface.mass)
     task.report(1.0)
     return _certified(mesh, surface, s, size, trace, tuple(notes))
