@@ -9,8 +9,8 @@ import numpy as np
 
 import beltrami as bt
 
-from ..transport.film import film
 from ..transport import DENSITY_COLOURS
+from ..transport.film import film
 from ..view import Picture
 from . import Sheet, section
 

@@ -18,10 +18,10 @@ from ..arrays import Floats, Ints, csr_in
 from ..clouds import CloudOperators
 from ..errors import InputError, NumericalError
 from ..files import save_with, written
-from ..intrinsic import IntrinsicOperators
 from ..operators import Operators, operators
 from ..progress import GapWatch, Progress
 from ..shapes import PointCloud, Shape, TriangleMesh
+from ..simplices import hat_gradients, simplices
 from ..solvers import Cholesky, plus_diagonal
 from ..view import Page, Picture
 from .contours import cloud_contours
@@ -50,7 +50,7 @@ class _Surface:
         ops = self.operators = operators(shape)
         if tv not in ("isotropic", "edge"):
             raise InputError(f"tv is {tv!r}; choose 'isotropic' or 'edge'")
-        corners, sides, areas = _simplices(ops)
+        corners, sides, areas = simplices(ops)
         dimension = corners.shape[1] - 1
         if dimension not in (1, 2, 3):
             raise InputError(f"total variation is there for surfaces and volumes; this shape has dimension {dimension}")
@@ -61,7 +61,7 @@ class _Surface:
         self.weights = np.where(self.mass > 0, self.mass, 1 / self.count)  # of the splitting only: vertices of no triangle take part
         self.corners, self.areas, sides = corners, areas / total, sides / self.length
         if tv == "isotropic":
-            hats, self.frames = _hats(sides)
+            hats, self.frames = hat_gradients(sides)
             self.elements = _core.Elements(self.count, corners, hats, np.ascontiguousarray(self.areas))
             self.stiffness = scipy.sparse.csr_array(ops.stiffness * (self.length**2 / total))
             self.spacing = (1 / np.count_nonzero(ops.mass)) ** (1 / dimension)
@@ -117,52 +117,6 @@ class _System:
                 return
             self.factor = Cholesky(self.matrix, self.surface.operators.coordinates)
         self.factor.solve(right, out=x)
-
-
-def _simplices(ops: Operators) -> tuple[Ints, Floats, Floats]:
-    """Corners (m, s), sides from the first corner to the others (m, s - 1, D), and areas."""
-    if isinstance(ops, CloudOperators):
-        corners, places = ops.simplices, ops.shape.points
-    elif isinstance(ops, IntrinsicOperators):
-        corners, lengths = ops.triangulation.faces, ops.triangulation.lengths
-        first, second, third = lengths.T
-        along = (first**2 + third**2 - second**2) / (2 * first)
-        up = 2 * _heron(lengths) / first
-        zero = np.zeros_like(first)
-        return corners, np.stack([np.stack([first, zero], 1), np.stack([along, up], 1)], 1), ops.simplex_areas
-    else:
-        shape = ops.shape
-        corners, places = (shape.faces, shape.vertices) if isinstance(shape, TriangleMesh) else (np.zeros((0, 3), np.int32), shape.points)
-    return corners, places[corners[:, 1:]] - places[corners[:, :1]], ops.simplex_areas
-
-
-def _heron(lengths: Floats) -> Floats:
-    c, b, a = np.sort(lengths, axis=1).T
-    area: Floats = 0.25 * np.sqrt((a + (b + c)) * np.maximum(c - (a - b), 0)) * np.sqrt((c + (a - b)) * (a + (b - c)))
-    return area
-
-
-def _hats(sides: Floats) -> tuple[Floats, Floats]:
-    """Gradients of all hat functions but the first, in a frame of each simplex (its first axis along the first side); the frames."""
-    count, side, space = sides.shape
-    local, frames = np.zeros((count, side, side)), np.zeros((count, side, space))
-    for j in range(side):
-        rest = sides[:, j].copy()
-        for a in range(j):
-            local[:, j, a] = np.einsum("md,md->m", rest, frames[:, a])
-            rest -= local[:, j, a, None] * frames[:, a]
-        local[:, j, j] = np.linalg.norm(rest, axis=1)
-        frames[:, j] = rest / np.where(local[:, j, j] > 0, local[:, j, j], 1.0)[:, None]
-    flat = np.flatnonzero((np.einsum("mjj->mj", local) <= 0).any(axis=1))
-    if len(flat):
-        raise InputError(f"element {flat[0]} has no area; bt.operators(shape, laplacian='intrinsic_delaunay') can do without it")
-    hats = np.zeros_like(local)  # inverse of the triangular `local`, transposed
-    for j in range(side):
-        hats[:, j, j] = 1 / local[:, j, j]
-    for j in range(side):
-        for k in range(j + 1, side):
-            hats[:, j, k] = -np.einsum("ma,ma->m", local[:, k, j:k], hats[:, j, j:k]) / local[:, k, k]
-    return np.ascontiguousarray(hats.reshape(count, -1)), frames
 
 
 def _edges(corners: Ints, sides: Floats, areas: Floats) -> tuple[Ints, Floats, Floats]:

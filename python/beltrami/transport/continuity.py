@@ -19,8 +19,8 @@ from ..arrays import Floats
 from ..costs import Cost, Lagrangian
 from ..errors import InputError
 from ..operators import Operators, operators
-from ..segment import _hats, _simplices
 from ..shapes import Shape, TriangleMesh
+from ..simplices import hat_gradients, simplices
 from ..solvers import PoissonSolver
 
 END = 2.0  # times the number of intervals: what a free end weighs in the projection
@@ -36,7 +36,7 @@ class Surface:
 
     def __init__(self, shape: Shape | Operators) -> None:
         self.operators = ops = _operators(shape)
-        corners, sides, areas = _simplices(ops)
+        corners, sides, areas = simplices(ops)
         dimension = corners.shape[1] - 1
         if dimension not in (1, 2, 3) or len(corners) == 0:
             raise InputError("transport needs elements to move over: a mesh with triangles, or a cloud with laplacian='local_mesh'")
@@ -45,7 +45,7 @@ class Surface:
         self.count, self.dimension = len(ops.mass), dimension
         self.mass = ops.mass / self.total
         self.corners, self.areas = corners, areas / self.total
-        self.hats, self.frames = _hats(sides / self.length)
+        self.hats, self.frames = hat_gradients(sides / self.length)
         self._domains: dict[float, _core.TransportDomain] = {}
         self.labels = self.domain(1.0).labels().astype(np.int64)
         self.components = int(self.labels.max()) + 1
