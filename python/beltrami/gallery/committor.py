@@ -151,8 +151,8 @@ def dipeptide(sheet: Sheet) -> None:
     path = Path(os.environ.get("BELTRAMI_DATA", "../shared/data")) / "committor" / "ala2_900K.npz"
     if not path.exists():
         sheet.text(
-            "The trajectory for this section is not present: set `BELTRAMI_DATA` to a folder with `committor/ala2_900K.npz` (arrays phi_rad, "
-            "psi_rad). The torus above is the same problem with a made potential."
+            "The trajectory for this section is not present: set `BELTRAMI_DATA` to a folder with `committor/ala2_900K.npz` (arrays "
+            "phi_rad, psi_rad). The torus above is the same problem with a made potential."
         )
         return
     with np.load(path) as data:

@@ -38,7 +38,7 @@ def known(sheet: Sheet) -> None:
         "alternation of Schonsheck, Bronstein and Lai between basis and factor. The map taken is the one whose factor is smoothest."
     )
     spot = bt.examples.spot()
-    d = spot.vertices - (spot.vertices.mean(0) + [1.2, 1.1, 0.5])
+    d = spot.vertices - (spot.vertices.mean(0) + np.array([1.2, 1.1, 0.5]))
     square = (d**2).sum(1)
     inverted = bt.TriangleMesh(d / square[:, None] * [1, 1, -1], spot.faces)
     r, first = _match("Spot, inverted in a point beside it", spot, inverted, 4)
@@ -145,16 +145,19 @@ def apes(sheet: Sheet) -> None:
     sheet.table(("method", "mean error / √area", "share below 0.05", "seconds"), rows, "At 900 common samples, straight distances")
     height = gorilla.vertices @ np.linalg.svd(gorilla.vertices - gorilla.vertices.mean(0), full_matrices=False)[2][0]
     limits = (float(height.min()), float(height.max()))
-    sheet.picture(gorilla, {"height": height}, up="z", limits=limits, title="A function on the gorilla", caption="Along its length.", size=(1600, 900))
+    size = (1600, 900)
+    title, caption = "A function on the gorilla", "Along its length."
+    sheet.picture(gorilla, {"height": height}, up="z", limits=limits, title=title, caption=caption, size=size)
     factor = r.log_factor - np.median(r.log_factor)
     span = float(np.quantile(np.abs(factor), 0.99))
     sheet.picture(
-        man, {"height of the gorilla": r.push_forward(height)}, up="z", limits=limits, title="The same on the man", caption="Brought over by the map.",
-        size=(1600, 900),
+        man, {"height of the gorilla": r.push_forward(height)}, up="z", limits=limits, title="The same on the man",
+        caption="Brought over by the map.", size=size,
     )  # fmt: skip
     sheet.picture(
-        man, {"log w²": factor}, up="z", limits=(-span, span), colormap="balance", title="The factor with which the man becomes the gorilla",
-        caption="Where it is high, the gorilla has more area: arms and trunk against legs.", size=(1600, 900),
+        man, {"log w²": factor}, up="z", limits=(-span, span), colormap="balance", size=size,
+        title="The factor with which the man becomes the gorilla",
+        caption="Where it is high, the gorilla has more area: arms and trunk against legs.",
     )  # fmt: skip
 
 

@@ -40,7 +40,8 @@ def shapes(sheet: Sheet) -> None:
         )
     sheet.table(("shape", "vertices", "triangles", "components", "Euler characteristic", "genus", "boundary loops", "closed"), rows)
     sheet.code(
-        'spot = bt.load("spot.ply")\nprint(spot.report())\nspot.plot(spot.data["colors"], views=["three-quarter back", "back"], path="spot.png")'
+        'spot = bt.load("spot.ply")\nprint(spot.report())\n'
+        'spot.plot(spot.data["colors"], views=["three-quarter back", "back"], path="spot.png")'
     )
     spot = named[0][1]
     sheet.picture(
@@ -59,7 +60,8 @@ def shapes(sheet: Sheet) -> None:
         up="z",
         contours=[0.0],
         title="Human cortex, left pial surface (fsaverage5)",
-        caption="10,242 vertices of FreeSurfer's average cortex, from nilearn's package data; the line is where the depth changes its sign.",
+        caption="10,242 vertices of FreeSurfer's average cortex, from nilearn's package data; "
+        "the line is where the depth changes its sign.",
         interactive=True,
         size=(1600, 760),
     )
@@ -97,7 +99,8 @@ def solve(sheet: Sheet) -> None:
         }
     )
     sheet.code(
-        "operators = bt.operators(cortex)\nfactor = bt.Cholesky(mass + 50 * operators.stiffness, cortex.vertices)\nsmooth = factor.solve(load)"
+        "operators = bt.operators(cortex)\nfactor = bt.Cholesky(mass + 50 * operators.stiffness, cortex.vertices)\n"
+        "smooth = factor.solve(load)"
     )
     span = float(np.abs(cortex.data["depth"]).max())
     sheet.picture(

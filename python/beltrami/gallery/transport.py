@@ -79,7 +79,7 @@ def moving_mass(sheet: Sheet) -> None:
                     limits=(0.0, float(r.density.max())),
                     label="density",
                     size=(900, 700),
-                )  # fmt: skip
+                )
                 for t in moments
             ]
             pictures = [frame for frame in frames if isinstance(frame, Picture)]
