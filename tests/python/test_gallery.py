@@ -63,6 +63,22 @@ def test_a_failing_section_is_shown_and_stops_nothing(sections, tmp_path, capsys
     assert "NumericalError" in capsys.readouterr().out
 
 
+def test_sections_side_by_side_keep_their_order_and_what_progress_raises_is_heard(sections, tmp_path):
+    sections.update({f"Section {number}": good for number in range(6)})
+    told: list[str] = []
+    outcomes = gallery.run(tmp_path, progress=told.append)
+    assert [outcome.title for outcome in outcomes] == list(sections)
+    assert sorted(line.split(":")[0].removesuffix(" ...") for line in told) == sorted(2 * list(sections))
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert [int(number) for number in re.findall(r"<h2>Section (\d)", page)] == list(range(6))
+
+    def broken(text: str) -> None:
+        raise BrokenPipeError(text)
+
+    with pytest.raises(BrokenPipeError, match="Section"):
+        gallery.run(tmp_path, progress=broken)
+
+
 def test_sections_can_be_chosen(sections, tmp_path):
     sections["First"], sections["Second"] = bad, good
     assert [outcome.title for outcome in gallery.run(tmp_path, only=["sec"])] == ["Second"]

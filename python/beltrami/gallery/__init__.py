@@ -9,8 +9,10 @@ import html
 import importlib
 import os
 import re
+import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -159,6 +161,25 @@ def _slug(title: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
+def _filled(folder: Path, title: str) -> tuple[Outcome, str]:
+    """A section: how it went, and its part of the page."""
+    sheet, start, failure = Sheet(folder, _slug(title)), time.perf_counter(), None
+    try:
+        SECTIONS[title](sheet)
+    except Exception as error:  # one section must not stop the others
+        failure = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        trace = html.escape("".join(traceback.format_exception(error, limit=-4)))
+        body = f'{sheet.html()}<div class="error" role="alert"><strong>{html.escape(failure)}</strong><pre>{trace}</pre></div>'
+    else:
+        body = sheet.html()
+    seconds = time.perf_counter() - start
+    body = (
+        f'<section id="{_slug(title)}"><h2>{html.escape(title)}</h2>{body}<p class="time">{seconds:.2f} s, pictures included, beside '
+        "other sections</p></section>"
+    )
+    return Outcome(title, seconds, failure, tuple(sheet.files)), body
+
+
 def run(
     folder: str | os.PathLike[str], *, only: Sequence[str] | None = None, progress: Callable[[str], object] | None = None
 ) -> list[Outcome]:
@@ -171,7 +192,8 @@ def run(
     only : list of str, optional
         Only the sections with one of these words in their title.
     progress : callable, optional
-        Called with a line of text before and after each section.
+        Called with a line of text before and after each section, from the thread it runs on: as many sections run side by side as
+        :func:`beltrami.num_threads` says.
 
     Returns
     -------
@@ -193,31 +215,40 @@ def run(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(f"{folder} cannot be made: {error.strerror}") from None
-    outcomes, bodies = [], []
-    for title in chosen:
-        if progress:
-            progress(f"{title} ...")
-        sheet, start, failure = Sheet(folder, _slug(title)), time.perf_counter(), None
-        try:
-            SECTIONS[title](sheet)
-        except Exception as error:  # one section must not stop the others
-            failure = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            trace = html.escape("".join(traceback.format_exception(error, limit=-4)))
-            body = f'{sheet.html()}<div class="error" role="alert"><strong>{html.escape(failure)}</strong><pre>{trace}</pre></div>'
-        else:
-            body = sheet.html()
-        seconds = time.perf_counter() - start
-        if progress:
-            progress(f"{title}: {failure or 'done'} ({seconds:.1f} s)")
-        outcomes.append(Outcome(title, seconds, failure, tuple(sheet.files)))
-        bodies.append(
-            f'<section id="{_slug(title)}"><h2>{html.escape(title)}</h2>{body}<p class="time">{seconds:.2f} s with {_core.num_threads()} '
-            "threads, pictures included</p></section>"
-        )
+    waiting = deque(chosen)
+    done: dict[str, tuple[Outcome, str]] = {}
+    faults: list[BaseException] = []  # of `progress`
+
+    def work() -> None:
+        while waiting and not faults:
+            try:
+                title = waiting.popleft()
+            except IndexError:  # another took the last one
+                return
+            try:
+                if progress:
+                    progress(f"{title} ...")
+                done[title] = outcome, _ = _filled(folder, title)
+                if progress:
+                    progress(f"{title}: {outcome.error or 'done'} ({outcome.seconds:.1f} s)")
+            except BaseException as fault:
+                faults.append(fault)
+
+    # much of a section is the work of one thread; daemons, so that Ctrl-C waits for none
+    start = time.perf_counter()
+    workers = [threading.Thread(target=work, daemon=True) for _ in range(min(_core.num_threads(), len(chosen)))]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    if faults:
+        raise faults[0]
+    elapsed = time.perf_counter() - start
+    outcomes, bodies = [done[title][0] for title in chosen], [done[title][1] for title in chosen]
     template = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
     contents = "".join(f'<li><a href="#{_slug(o.title)}">{html.escape(o.title)}</a></li>' for o in outcomes)
     failed = sum(outcome.error is not None for outcome in outcomes)
-    summary = f"{len(outcomes)} sections in {sum(o.seconds for o in outcomes):.1f} s" + (f", {failed} failed" if failed else "")
+    summary = f"{len(outcomes)} sections in {elapsed:.1f} s" + (f", {failed} failed" if failed else "")
     for mark, text in (("__CONTENTS__", contents), ("__SUMMARY__", summary), ("__VERSION__", __version__), ("__BODY__", "\n".join(bodies))):
         template = template.replace(mark, text)
     try:
