@@ -504,3 +504,16 @@ def test_shapes_and_operators_plot_themselves(tmp_path):
     assert bt.PointCloud(TORUS.vertices).plot(size=(64, 48)).pixels.shape == (48, 64, 3)
     assert np.array_equal(bt.plot(bt.operators(TORUS), size=(64, 48)).pixels, bt.plot(TORUS, size=(64, 48)).pixels)
     assert "<iframe" in TORUS.plot(path=tmp_path / "a.html")._repr_html_()
+
+
+def test_pages_draw_the_contours_that_were_asked_for(tmp_path):
+    mesh = bt.shapes.sphere(1)
+
+    def levels(contours):
+        page = bt.plot(mesh, mesh.vertices[:, 2], contours=contours, limits=(-1, 1), path=tmp_path / "a.html")
+        [found] = re.findall(r'"levels":(\[[^\]]*\])', page.html)
+        return json.loads(found)
+
+    assert levels([0.0, 0.3, -0.9, 7.0]) == [-0.9, 0.0, 0.3]  # not as many as an even spacing would give
+    assert levels(None) == []
+    assert len(levels(500)) == 64  # what the viewer has room for

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from . import Field
 
 
+_MOST_LEVELS = 64  # contour lines that the viewer has room for
+
+
 def _base64(array: npt.NDArray[Any], kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode()
 
@@ -28,8 +31,9 @@ def _bytes(colours: npt.ArrayLike) -> npt.NDArray[np.uint8]:
 def field_data(shown: Field, ramp: Colours | None, ticks: list[tuple[float, str]]) -> dict[str, Any]:
     """What the viewer has to know about a field."""
     low, high = shown.span
-    levels = shown.levels
-    step = float(levels[1] - levels[0]) if len(levels) > 1 else (high - low) / 15 if high > low else 1.0
+    levels = shown.levels[(shown.levels >= low) & (shown.levels <= high)]
+    if len(levels) > _MOST_LEVELS:
+        levels = levels[np.linspace(0, len(levels) - 1, _MOST_LEVELS).astype(int)]
     data: dict[str, Any] = {
         "name": shown.name,
         "kind": shown.kind,
@@ -41,8 +45,8 @@ def field_data(shown: Field, ramp: Colours | None, ticks: list[tuple[float, str]
         "bar": shown.bar,
         "ramp": _bytes(ramp).ravel().tolist() if ramp is not None else [],
         "ticks": ticks,
-        "step": step,
-        "offset": float(levels[0]) if len(levels) else low,
+        "step": (high - low) / 15 if high > low else 1.0,
+        "levels": levels.tolist(),
     }
     if shown.kind == "scalars":
         data["values"] = _base64(shown.scalars, "<f4")
