@@ -91,12 +91,6 @@ def shape_of(options: Options, file: str | None = None) -> Any:
     return bt.load(name, dimension=getattr(options, "dimension", 2), progress=Bar("loading"))
 
 
-def positions(shape: Any) -> npt.NDArray[np.float64]:
-    """(n, D)."""
-    points: npt.NDArray[np.float64] = shape.points if isinstance(shape, bt.PointCloud) else shape.vertices
-    return points
-
-
 def write(
     options: Options,
     shape: Any,
@@ -108,7 +102,7 @@ def write(
 ) -> None:
     """Writes an answer to each file of ``-o``: the ``result``, as its ``save`` does, or all ``values`` to .npz; those of the vertices to
     .csv and .ply; ``shown`` to pictures."""
-    count = len(positions(shape))
+    count = len(shape.coordinates)
     for name in options.out or []:
         path = Path(name)
         suffix = path.suffix.lower()
@@ -640,7 +634,7 @@ def _flow_options(parser: argparse.ArgumentParser) -> None:
 
 def _density(name: str, shape: Any) -> npt.NDArray[np.float64]:
     """A density that was named on the command line."""
-    places = positions(shape)
+    places = shape.coordinates
     if name == "uniform":
         return np.ones(len(places))
     if name.startswith("vertex:"):
@@ -911,7 +905,7 @@ def committor(options: Options) -> int:
     shape, fields = _samples(options)
     if options.deduplicate:
         raise InputError("--deduplicate would leave the arrays behind; take copies out of the file")
-    points, look = positions(shape), _looks(options)
+    points, look = shape.coordinates, _looks(options)
     potential = None
     if options.sampling == "any":
         if options.potential not in fields:
@@ -987,7 +981,7 @@ def _values(name: str | None, shape: Any) -> tuple[Any, str | None]:
         if path.suffix.lower() == ".npy":
             return _only(path), path.stem
         if path.suffix.lower() == ".npz":
-            count = len(positions(shape))
+            count = len(shape.coordinates)
             fields = {key: array for key, array in stored(path).items() if array.shape == (count,)}
             if not fields:
                 raise InputError(f"--values {name}: none of its arrays has one number a vertex")

@@ -159,6 +159,13 @@ def word(value: Any, name: str, choices: Sequence[str]) -> str:
     return value
 
 
+def generator(value: Any, name: str = "rng") -> np.random.Generator:
+    """What random numbers are drawn with: the generator that is given, or one from a seed; None is seed 0."""
+    if isinstance(value, np.random.Generator):
+        return value
+    return np.random.default_rng(0 if value is None else whole(value, name, 0))
+
+
 def file(value: Any, name: str) -> Path:
     """A path."""
     if not isinstance(value, str | os.PathLike):

@@ -377,8 +377,7 @@ def _moving_least_squares(cloud: PointCloud, mass: str, options: dict[str, Any])
     weight, constrained = options.pop("weight", "special"), options.pop("constrained", True)
     _no_more(options, mass, "mls", "degree, neighbors, weight, constrained, progress")
     neighbors = _neighbors(neighbors, cloud, 6.0)
-    if weight not in get_args(Weight):
-        raise InputError(f"weight is {weight!r}; choose one of {', '.join(map(repr, get_args(Weight)))}")
+    arrays.word(weight, "weight", get_args(Weight))
     return LeastSquaresOperators(cloud, degree=degree, neighbors=neighbors, weight=weight, constrained=bool(constrained), progress=progress)
 
 

@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from . import arrays
 from .arrays import Floats
-from .errors import Cancelled, DependencyError, FileError, InputError
+from .errors import DependencyError, FileError, InputError
 from .files import load, stored, written
-from .progress import Progress, reporter
+from .progress import Progress, reporter, teller
 from .register import Eigenmap, align_eigenmaps, eigenmap, prepare, settle
 from .shapes import PointCloud, Shape, TriangleMesh, no_shape
 from .threads import set_num_threads
@@ -184,8 +184,7 @@ class DistanceMatrix:
         DependencyError
             matplotlib is missing.
         """
-        if kind not in ("map", "matrix", "dendrogram", "nearest"):
-            raise InputError(f"kind is {kind!r}; choose 'map', 'matrix', 'dendrogram' or 'nearest'")
+        arrays.word(kind, "kind", ("map", "matrix", "dendrogram", "nearest"))
         if classes is not None and len(classes) != len(self.matrix):
             raise InputError(f"{len(classes)} classes for {len(self.matrix)} shapes")
         try:
@@ -391,7 +390,7 @@ def distance_matrix(
     cache: str | os.PathLike[str] | None = None,
     labels: Sequence[str] | None = None,
     threads: int = 1,
-    rng: int | None = None,
+    rng: int = 0,
     progress: Progress = None,
 ) -> DistanceMatrix:
     """Distances between all pairs of shapes, of any number of points each.
@@ -415,8 +414,8 @@ def distance_matrix(
         Names; those of the files, or numbers.
     threads : int
         How many each task may use in a worker process.
-    rng : int, optional
-        Seed of the directions; None is 0.
+    rng : int
+        Seed of the directions.
     progress : callable or True, optional
         Called with the share of work done; returning False stops with :class:`Cancelled`, and what is done stays in the checkpoint.
 
@@ -457,8 +456,8 @@ def distance_matrix(
     names = tuple(str(label) for label in labels) if labels is not None else tuple(_name(m, i) for i, m in enumerate(members))
     if len(names) != count:
         raise InputError(f"{len(names)} labels for {count} shapes")
-    threads, seed = arrays.whole(threads, "threads", 1, 4096), 0 if rng is None else arrays.whole(rng, "rng", 0)
-    report = reporter(progress, "distances")
+    threads, seed = arrays.whole(threads, "threads", 1, 4096), arrays.whole(0 if rng is None else rng, "rng", 0)
+    report = teller(reporter(progress, "distances"))
     runner: _Executor = _Local() if executor is None else executor
     parent = os.getpid()
     known = method if isinstance(method, str) else f"{method.__module__}.{getattr(method, '__qualname__', type(method).__name__)}"
@@ -473,8 +472,7 @@ def distance_matrix(
     def told() -> None:
         nonlocal done
         done += 1
-        if report is not None and report(done / max(total, 1)) is False:
-            raise Cancelled("stopped on request before the work was done")
+        report(done / max(total, 1))
 
     failures: dict[int, str] = {}
     parts: dict[int, Any] = {}

@@ -11,7 +11,7 @@ from .eigen import Eigenpairs, eigenpairs
 from .errors import InputError
 from .operators import Operators, operators
 from .progress import Progress
-from .shapes import PointCloud, Shape
+from .shapes import Shape
 
 __all__ = ["hks", "shape_dna", "wks"]
 
@@ -183,7 +183,7 @@ def shape_dna(shape: Shape | Operators | Eigenpairs, *, k: int = 50, normalize: 
     pairs = _pairs(shape, arrays.whole(k, "k", 1) + 1, progress)
     values: Floats = np.maximum(pairs.values[1:], 0.0)
     if normalize:
-        dimension = pairs.shape.dimension if isinstance(pairs.shape, PointCloud) else 2
+        dimension = 2 if pairs.shape is None else pairs.shape.intrinsic_dimension
         values = values * _total(pairs) ** (2 / dimension)
     return values
 

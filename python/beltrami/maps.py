@@ -15,7 +15,7 @@ from .eigen import Eigenpairs, eigenpairs
 from .errors import InputError
 from .near import nearest_neighbors
 from .operators import Operators, operators
-from .shapes import PointCloud, Shape, TriangleMesh
+from .shapes import Shape, TriangleMesh
 
 __all__ = ["MapEvaluation", "evaluate_map", "functional_map_of", "point_map_of", "transfer"]
 
@@ -183,14 +183,12 @@ def transfer(
     if table.dtype.kind == "f" and not np.isfinite(table).all():
         row = int(np.flatnonzero(~np.isfinite(table.reshape(len(table), -1)).all(1))[0])
         raise InputError(f"values[{row}] is not finite; leave such points out of the map, or give them a number")
-    if direction == "to_source":
+    if arrays.word(direction, "direction", ("to_source", "to_target")) == "to_source":
         image = arrays.indices(point_map, "point_map", len(table))
         return np.ascontiguousarray(table[image])
-    if direction != "to_target":
-        raise InputError(f"direction is {direction!r}; choose 'to_source' or 'to_target'")
     if target is None:
         raise InputError("direction='to_target' needs target=, the shape that values are carried to")
-    places = target.points if isinstance(target, PointCloud) else target.vertices
+    places = target.coordinates
     image = checked_point_map(point_map, len(table), len(places))
     share = np.ones(len(table)) if weights is None else arrays.floats(weights, "weights", (len(table),))
     if share.min() < 0:
@@ -311,7 +309,7 @@ def evaluate_map(
     *,
     truth: npt.ArrayLike | None = None,
     points: npt.ArrayLike | int | None = None,
-    rng: int | np.random.Generator | None = None,
+    rng: int | np.random.Generator | None = 0,
 ) -> MapEvaluation:
     """Scores a point map: geodesic errors against a truth, coverage, Dirichlet energy.
 
@@ -325,7 +323,7 @@ def evaluate_map(
     points : (q,) int array or int, optional
         Which source points to compare with the truth, or how many of them, drawn at random. All if left out.
     rng : int or numpy Generator, optional
-        What the points are drawn with; None is seed 0.
+        What the points are drawn with.
 
     Returns
     -------
@@ -355,8 +353,7 @@ def evaluate_map(
     rough = float((places * (a.stiffness @ places)).sum()) / area
     chosen = np.arange(len(image)) if points is None or np.ndim(points) == 0 else arrays.indices(points, "points", len(image))
     if points is not None and np.ndim(points) == 0:
-        generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(0 if rng is None else rng)
-        chosen = np.sort(generator.permutation(len(image))[: arrays.whole(points, "points", 1)])
+        chosen = np.sort(arrays.generator(rng).permutation(len(image))[: arrays.whole(points, "points", 1)])
     errors: Floats | None = None
     if truth is not None:
         right = checked_point_map(truth, len(a.mass), len(b.mass))

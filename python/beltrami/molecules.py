@@ -62,8 +62,7 @@ def load(
     names, every = [os.fspath(arrays.file(file, "trajectories")) for file in files], arrays.whole(stride, "stride", 1)
     if not (selection is None or isinstance(selection, str)):
         raise InputError(f"selection is {selection!r}; a str is needed")
-    if reader not in get_args(Reader):
-        raise InputError(f"reader is {reader!r}; choose one of {', '.join(map(repr, get_args(Reader)))}")
+    arrays.word(reader, "reader", get_args(Reader))
     for name in [top, *names]:
         if not os.path.exists(name):
             raise FileError(f"{name}: no such file")

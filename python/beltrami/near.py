@@ -29,14 +29,13 @@ _MANY = 10  # dimensions from which on a tree prunes nothing
 Places = npt.ArrayLike | PointCloud | TriangleMesh
 
 
-def _points(value: Places, name: str) -> Floats:
-    if isinstance(value, PointCloud):
-        return value.points
-    return value.vertices if isinstance(value, TriangleMesh) else arrays.points(value, name)
+def places(value: Places, name: str) -> Floats:
+    """Positions (n, D) from an array or a shape."""
+    return value.coordinates if isinstance(value, TriangleMesh | PointCloud) else arrays.points(value, name)
 
 
 def _queries(value: Places, name: str, dimension: int) -> Floats:
-    queries = _points(value, name)
+    queries = places(value, name)
     return queries if len(queries) else np.zeros((0, dimension))
 
 
@@ -80,7 +79,7 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
     >>> indices.tolist(), distances.tolist()
     ([[0, 2]], [[0.0, 1.0]])
     """
-    table = _points(points, "points")
+    table = places(points, "points")
     wanted = _queries(queries, "queries", table.shape[1])
     k = arrays.whole(k, "k", 1, max(len(table), 1))
     arrays.room(1.5 * k * len(wanted), f"k = {k} neighbours of {len(wanted)} queries", "take a smaller k or fewer queries at a time")
@@ -126,7 +125,7 @@ def neighbors_within(
     >>> starts.tolist(), indices.tolist()
     ([0, 2, 3], [0, 1, 2])
     """
-    table = _points(points, "points")
+    table = places(points, "points")
     wanted = _queries(queries, "queries", table.shape[1])
     most = arrays.memory() // 32  # an index and a distance, in lists and in one array
     return _core.neighbors_within(table, wanted, arrays.number(radius, "radius", least=0.0), most, reporter(progress, "neighbours"))

@@ -55,7 +55,7 @@ class Operators(ABC):
     @property
     def coordinates(self) -> Floats:
         """Positions of the unknowns, (n, D): solvers use them for a good order of elimination."""
-        return self.shape.points if isinstance(self.shape, PointCloud) else self.shape.vertices
+        return self.shape.coordinates
 
     @cached_property
     def laplacian(self) -> scipy.sparse.csr_array:
@@ -194,8 +194,7 @@ def operators(shape: Shape | Operators, *, laplacian: Laplacian = "auto", mass: 
     from .clouds import BUILDERS
 
     family = _MESH if isinstance(shape, TriangleMesh) else BUILDERS
-    if mass not in ("lumped", "voronoi"):
-        raise InputError(f"mass is {mass!r}; choose 'lumped' or 'voronoi'")
+    arrays.word(mass, "mass", ("lumped", "voronoi"))
     build = family.get(laplacian) if isinstance(laplacian, str) else None
     if build is None:
         raise InputError(f"laplacian is {laplacian!r}; for a {type(shape).__name__} choose one of {', '.join(map(repr, family))}")

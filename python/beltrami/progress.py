@@ -76,6 +76,16 @@ def part(report: Callable[[float], object] | None, start: float, end: float) -> 
     return lambda share: report(start + (end - start) * share)
 
 
+def teller(report: Callable[[float], object] | None) -> Callable[[float], None]:
+    """Tells the share done between the steps of a method; raises :class:`Cancelled` where the answer is False."""
+
+    def tell(share: float) -> None:
+        if report is not None and report(share) is False:
+            raise Cancelled("stopped on request before the work was done")
+
+    return tell
+
+
 class GapWatch:
     """Progress of an iteration by the logarithm of its gap, from the first one to the tolerance."""
 

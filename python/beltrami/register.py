@@ -23,13 +23,13 @@ from . import _core, arrays
 from .arrays import Floats, Ints
 from .clouds import CloudOperators
 from .eigen import eigenpairs
-from .errors import Cancelled, InputError
+from .errors import InputError
 from .files import written
 from .inside import closed_surface
-from .maps import coverage
+from .maps import coverage, transfer
 from .near import nearest_neighbors
 from .operators import Operators, operators
-from .progress import Progress, part, reporter
+from .progress import Progress, part, reporter, teller
 from .sampling import farthest_points
 from .shapes import PointCloud, Shape, TriangleMesh
 from .sliced import Run, alternate, orthonormal_directions
@@ -156,7 +156,7 @@ def _side(
     extrinsic: bool,
 ) -> Side:
     """The largest part of what operators are of, with the faces that orient a cloud, if there are any."""
-    dimension = ops.shape.dimension if isinstance(ops.shape, PointCloud) else 2
+    dimension = ops.shape.intrinsic_dimension
     kept = np.flatnonzero((ops.component_labels == ops.component_masses.argmax()) & (ops.mass > 0))
     if len(kept) < 4:
         raise InputError(f"the shape has {len(kept)} connected points with mass; registration needs 4 at least")
@@ -167,7 +167,7 @@ def _side(
     pairs = eigenpairs(ops, count) if alone else eigenpairs(ops.stiffness[kept][:, kept], count, mass=ops.mass[kept])
     functions = np.ascontiguousarray(pairs.functions[:, 1:] * np.sqrt(area))
     values = np.maximum(pairs.values[1:], 0.0) * unit**2
-    places = whole.points if isinstance(whole, PointCloud) else whole.vertices
+    places = whole.coordinates
     main = kept if single is None else single[kept]
     mass = np.zeros(len(places))
     mass[main] = ops.mass[kept] / area
@@ -714,12 +714,10 @@ class RegistrationResult:
 
     def transfer(self, values: npt.ArrayLike, *, direction: Literal["to_source", "to_target"] = "to_source") -> npt.NDArray[Any]:
         """Carries values, colours or labels from one shape to the other; see :func:`beltrami.transfer`."""
-        from .maps import transfer
-
         if direction == "to_source":
-            points = self.target.points if isinstance(self.target, PointCloud) else self.target.vertices
-            if np.ndim(values) and len(np.asarray(values)) != len(points):
-                raise InputError(f"values has {len(np.asarray(values))} rows; the target has {len(points)} points")
+            count = len(self.target.coordinates)
+            if np.ndim(values) and len(np.asarray(values)) != count:
+                raise InputError(f"values has {len(np.asarray(values))} rows; the target has {count} points")
             return transfer(self.point_map, values)
         return transfer(self.point_map, values, direction=direction, target=self.target, weights=self.source_masses)
 
@@ -738,7 +736,7 @@ class RegistrationResult:
 
     def side_by_side(self, values: Any = None) -> tuple[Shape, npt.NDArray[Any]]:
         """Source and target as one shape, the source brought to the target's size, and the values of both: those of :meth:`plot`."""
-        places = [shape.points if isinstance(shape, PointCloud) else shape.vertices for shape in (self.source, self.target)]
+        places = [self.source.coordinates, self.target.coordinates]
         if places[0].shape[1] != places[1].shape[1]:
             raise InputError(f"the source lies in R^{places[0].shape[1]}, the target in R^{places[1].shape[1]}: plot them one by one")
         if values is None:
@@ -866,12 +864,8 @@ def match(
     report: Any = None,
 ) -> RegistrationResult:
     """:func:`register` for two prepared sides."""
-    seed = int((np.random.default_rng(0) if rng is None else rng).integers(2**31))
-
-    def told(share: float) -> None:
-        if report is not None and report(share) is False:
-            raise Cancelled("stopped on request before the work was done")
-
+    seed = int(arrays.generator(rng).integers(2**31))
+    told = teller(report)
     modes = min(source.modes, target.modes)
     top = min(_TOP, modes)
     oriented = source.faces is not None and target.faces is not None
@@ -992,7 +986,7 @@ def register(
     modes: int = _MODES,
     samples: int = _SAMPLES,
     candidates: int = 8,
-    rng: int | np.random.Generator | None = None,
+    rng: int | np.random.Generator | None = 0,
     progress: Progress = None,
 ) -> RegistrationResult:
     """The point map between two shapes that differ by a bending, without landmarks.
@@ -1022,8 +1016,8 @@ def register(
         Farthest points that candidates are refined on.
     candidates : int
         How many are compared to the end.
-    rng : int or numpy Generator, optional
-        What directions of the sliced distance are drawn with; None is seed 0.
+    rng : int or numpy Generator
+        What directions of the sliced distance are drawn with.
     progress : callable or True, optional
         Called with the share of work done; returning False stops. True draws a bar.
 
@@ -1059,17 +1053,15 @@ def register(
     >>> found.mirror_decided, bool(found.coverage > 0.9)
     (True, True)
     """
-    if method not in ("auto", "rswd"):
-        raise InputError(f"method is {method!r}; choose 'auto' or 'rswd'")
+    arrays.word(method, "method", ("auto", "rswd"))
     modes, samples = arrays.whole(modes, "modes", 3), arrays.whole(samples, "samples", 4)
     most = arrays.whole(candidates, "candidates", 1)
-    generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(0 if rng is None else arrays.whole(rng, "rng", 0))
+    generator = arrays.generator(rng)
     report = reporter(progress, "registration")
     sides = []
     for index, shape in enumerate((source, target)):
         sides.append(readings(shape, modes=modes, samples=samples, extrinsic=extrinsic))
-        if report is not None and report(0.2 * (index + 1)) is False:
-            raise Cancelled("stopped on request before the work was done")
+        teller(report)(0.2 * (index + 1))
     a, b = min(itertools.product(*sides), key=lambda pair: _spectral_gap(*pair))
     if a.dimension != b.dimension:
         raise InputError(f"the source has intrinsic dimension {a.dimension}, the target {b.dimension}; they must agree")

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from . import _core, arrays
-from .arrays import Floats, Ints
+from .arrays import Ints
+from .near import Places, places
 from .progress import Progress, reporter
-from .shapes import PointCloud, TriangleMesh
 
 __all__ = ["farthest_points", "poisson_disc"]
 
 
-def _points(shape: Any) -> Floats:
-    if isinstance(shape, PointCloud):
-        return shape.points
-    if isinstance(shape, TriangleMesh):
-        return shape.vertices
-    return arrays.points(shape, "points")
-
-
-def farthest_points(points: Any, k: int, *, start: int = 0, progress: Progress = None) -> Ints:
+def farthest_points(points: Places, k: int, *, start: int = 0, progress: Progress = None) -> Ints:
     """k points, each the farthest (straight through space) from all those before it.
 
     Parameters
@@ -55,13 +45,13 @@ def farthest_points(points: Any, k: int, *, start: int = 0, progress: Progress =
     >>> bt.farthest_points([[0.0], [1.0], [2.0], [3.0], [10.0]], 3).tolist()
     [0, 4, 3]
     """
-    table = _points(points)
+    table = places(points, "points")
     wanted = arrays.whole(k, "k", 1, len(table))
     first = arrays.whole(start, "start", 0, len(table) - 1)
     return _core.farthest_points(table, wanted, first, reporter(progress, "farthest points"))
 
 
-def poisson_disc(points: Any, radius: float, *, rng: int | np.random.Generator | None = None, progress: Progress = None) -> Ints:
+def poisson_disc(points: Places, radius: float, *, rng: int | np.random.Generator | None = None, progress: Progress = None) -> Ints:
     """Points no two of which are nearer than a radius, while every other point is nearer than it to one of them.
 
     Parameters
@@ -89,8 +79,7 @@ def poisson_disc(points: Any, radius: float, *, rng: int | np.random.Generator |
     >>> bt.poisson_disc([[0.0], [1.0], [2.0], [3.0]], 1.5).tolist()
     [0, 2]
     """
-    table = _points(points)
+    table = places(points, "points")
     size = arrays.number(radius, "radius", above=0.0)
-    generator = rng if rng is None or isinstance(rng, np.random.Generator) else np.random.default_rng(arrays.whole(rng, "rng", 0))
-    order = np.arange(len(table)) if generator is None else generator.permutation(len(table))
+    order = np.arange(len(table)) if rng is None else arrays.generator(rng).permutation(len(table))
     return _core.poisson_disc(table, size, order.astype(np.int32), reporter(progress, "Poisson discs"))

@@ -139,6 +139,16 @@ class TriangleMesh(_Shown):
         """D, the dimension of the space that the vertices lie in."""
         return int(self.vertices.shape[1])
 
+    @property
+    def coordinates(self) -> Floats:
+        """``vertices``, (n, D): what meshes, clouds and operators all call the places of their unknowns."""
+        return self.vertices
+
+    @property
+    def intrinsic_dimension(self) -> int:
+        """2: that of the surface, as a cloud's ``dimension``."""
+        return 2
+
     @cached_property
     def face_areas(self) -> Floats:
         """Area of each triangle, (m,); read-only."""
@@ -476,6 +486,16 @@ class PointCloud(_Shown):
         set_(self, "data", _frozen_data(self.data, count, "point"))
         if deduplicate and count > 1:
             self._keep(_core.first_copies(self.points))
+
+    @property
+    def coordinates(self) -> Floats:
+        """``points``, (n, D): what meshes, clouds and operators all call the places of their unknowns."""
+        return self.points
+
+    @property
+    def intrinsic_dimension(self) -> int:
+        """``dimension``, by the name that meshes have it under too."""
+        return self.dimension
 
     def _keep(self, kept: npt.NDArray[np.bool_]) -> None:
         for name in ("points", "normals", "weights"):

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from . import _core, arrays
 from .arrays import Floats
-from .errors import Cancelled, InputError
-from .progress import Progress, reporter
+from .errors import InputError
+from .progress import Progress, reporter, teller
 
 __all__ = [
     "RotationInvariantSlicedWassersteinResult",
@@ -23,13 +23,7 @@ __all__ = [
 _SAMPLE = 1000  # points that rotations are tried on before the best few see all points
 
 
-def _generator(rng: int | np.random.Generator | None) -> np.random.Generator:
-    if isinstance(rng, np.random.Generator):
-        return rng
-    return np.random.default_rng(0 if rng is None else arrays.whole(rng, "rng", 0))
-
-
-def orthonormal_directions(dimension: int, count: int, *, rng: int | np.random.Generator | None = None) -> Floats:
+def orthonormal_directions(dimension: int, count: int, *, rng: int | np.random.Generator | None = 0) -> Floats:
     """Unit vectors in blocks of orthonormal frames, each frame drawn uniformly (Haar) and independently.
 
     Each block B has ``B.T @ B = I``: so the mean of ``(t . u)**2`` over the directions u is exactly ``|t|**2 / n``, and a step of
@@ -41,8 +35,7 @@ def orthonormal_directions(dimension: int, count: int, *, rng: int | np.random.G
         n.
     count : int
         How many at least; rounded up to whole blocks.
-    rng : int or numpy Generator, optional
-        None is seed 0.
+    rng : int or numpy Generator
 
     Returns
     -------
@@ -57,7 +50,7 @@ def orthonormal_directions(dimension: int, count: int, *, rng: int | np.random.G
     """
     dimension, count = arrays.whole(dimension, "dimension", 1), arrays.whole(count, "count", 1)
     arrays.room(4.0 * (count + dimension) * dimension, f"{count} directions in R^{dimension}", "a few hundred are enough")
-    blocks = _generator(rng).standard_normal((-(-count // dimension), dimension, dimension))
+    blocks = arrays.generator(rng).standard_normal((-(-count // dimension), dimension, dimension))
     q, r = np.linalg.qr(blocks)
     # QR alone fixes signs by its own convention; R with a positive diagonal makes Q uniform (Mezzadri 2007)
     frames = q * np.where(np.diagonal(r, axis1=1, axis2=2) < 0, -1.0, 1.0)[:, None, :]
@@ -95,7 +88,7 @@ def sliced_wasserstein(
     source_weights: npt.ArrayLike | None = None,
     target_weights: npt.ArrayLike | None = None,
     directions: int | npt.ArrayLike = 100,
-    rng: int | np.random.Generator | None = None,
+    rng: int | np.random.Generator | None = 0,
     progress: Progress = None,
 ) -> float:
     """The sliced Wasserstein distance of order 2 between two weighted point sets.
@@ -112,9 +105,9 @@ def sliced_wasserstein(
         At least 0; divided by their sums. None: all points alike.
     directions : int or (T, D) array
         How many at least (drawn by :func:`orthonormal_directions`), or unit vectors.
-    rng : int or numpy Generator, optional
-        What directions are drawn with. None is seed 0: distances of different calls are then over the same directions, and so
-        satisfy the triangle inequality.
+    rng : int or numpy Generator
+        What directions are drawn with. Distances of calls with the same seed are over the same directions, and so satisfy the triangle
+        inequality.
     progress : callable or True, optional
         Called with the share of work done; returning False stops. True draws a bar.
 
@@ -144,7 +137,7 @@ def sliced_wasserstein(
     True
     """
     x, y, a, b, scale = _measures(source, target, source_weights, target_weights)
-    theta = _directions(directions, x.shape[1], _generator(rng))
+    theta = _directions(directions, x.shape[1], arrays.generator(rng))
     return scale * _core.sliced_distance(x, y, a, b, theta, reporter(progress, "sliced Wasserstein"))
 
 
@@ -282,7 +275,7 @@ def rotation_invariant_sliced_wasserstein(
     source_weights: npt.ArrayLike | None = None,
     target_weights: npt.ArrayLike | None = None,
     directions: int | npt.ArrayLike = 100,
-    rng: int | np.random.Generator | None = None,
+    rng: int | np.random.Generator | None = 0,
     starts: npt.ArrayLike | None = None,
     max_iterations: int = 300,
     tolerance: float = 1e-10,
@@ -307,8 +300,8 @@ def rotation_invariant_sliced_wasserstein(
     directions : int or (T, D) array
         How many at least (drawn by :func:`orthonormal_directions`), or unit vectors. With vectors in no orthonormal blocks the
         alternation ends where it would rise.
-    rng : int or numpy Generator, optional
-        What directions and some of the starts are drawn with. None is seed 0.
+    rng : int or numpy Generator
+        What directions and some of the starts are drawn with.
     starts : (k, D, D) array, optional
         Rotations to begin with, instead of principal axes with all signs and some at random.
     max_iterations : int
@@ -346,16 +339,10 @@ def rotation_invariant_sliced_wasserstein(
     """
     x, y, a, b, scale = _measures(source, target, source_weights, target_weights)
     dimension = x.shape[1]
-    generator = _generator(rng)
+    generator = arrays.generator(rng)
     theta = _directions(directions, dimension, generator)
     most, tolerance = arrays.whole(max_iterations, "max_iterations", 1), arrays.number(tolerance, "tolerance", least=0.0)
-
-    call = reporter(progress, "sliced Wasserstein")
-
-    def report(share: float) -> None:
-        if call is not None and call(share) is False:
-            raise Cancelled("stopped on request before the work was done")
-
+    report = teller(reporter(progress, "sliced Wasserstein"))
     if starts is None:
         first = _starts(x, y, a, b, generator)
     else:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import scipy
 
 from . import _core
-from .arrays import Floats, anything, csr_in, csr_out, floats, number, points
+from .arrays import Floats, anything, csr_in, csr_out, floats, number, points, word
 from .errors import InputError
 from .operators import Operators, operators
 from .progress import Progress, reporter
@@ -219,8 +219,7 @@ class PoissonSolver:
         self, shape: Shape | Operators, *, method: PoissonMethod = "auto", tolerance: float = 1e-12, progress: Progress = None
     ) -> None:
         ops = self.operators = operators(shape)
-        if method not in get_args(PoissonMethod):
-            raise InputError(f"method is {method!r}; choose one of {', '.join(map(repr, get_args(PoissonMethod)))}")
+        word(method, "method", get_args(PoissonMethod))
         #: ``"direct"`` or ``"multilevel"``.
         self.method: PoissonMethod = method if method != "auto" else "direct" if len(ops.mass) <= _DIRECT else "multilevel"
         self._tolerance = number(tolerance, "tolerance", above=0)

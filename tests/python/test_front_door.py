@@ -233,3 +233,23 @@ def test_costs_are_told_in_a_line() -> None:
     assert repr(bt.costs.quadratic(DENSITIES[0], weight=3.0)) == f"Quadratic(target = {COUNT} numbers, weight = 3)"
     assert len(repr(cost)) < 200
     assert repr(bt.costs.power(1.5)) == "Lagrangian(exponent = 1.5, weight = 1)"
+
+
+def test_a_seed_is_0_by_default_and_repeats() -> None:
+    """Whatever draws random numbers takes a seed, a Generator or None for seed 0, and answers the same bits to the same seed."""
+    drawing = [name for name in CALLS if "rng" in inspect.signature(getattr(bt, name)).parameters]
+    assert len(drawing) >= 8
+    for name in drawing:
+        function, (arguments, options) = getattr(bt, name), CALLS[name]
+        if name == "poisson_disc":  # None: points in the order of their numbers
+            assert inspect.signature(function).parameters["rng"].default is None
+            continue
+        assert inspect.signature(function).parameters["rng"].default == 0, name
+        seeds = [{}, {"rng": 0}, {"rng": None}] + ([] if name == "distance_matrix" else [{"rng": np.random.default_rng(0)}])
+        assert len({bits(function(*arguments, **options, **seed)) for seed in seeds}) == 1, name
+
+
+def bits(result: Any) -> bytes:
+    """Of all arrays in a result, and of a number."""
+    parts = [getattr(result, field.name) for field in dataclasses.fields(result)] if dataclasses.is_dataclass(result) else [result]
+    return b"|".join(part.tobytes() for part in map(np.asarray, parts) if part.dtype.kind in "fiu")

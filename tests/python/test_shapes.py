@@ -261,3 +261,11 @@ def test_data_that_are_no_array(values):
         bt.TriangleMesh([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], data={"x": values})
     with pytest.raises(bt.InputError, match=r"data\['x'\]"):
         bt.PointCloud([[0, 0], [1, 0], [0, 1]], dimension=1, data={"x": values})
+
+
+def test_meshes_clouds_and_operators_call_their_places_alike():
+    volume = bt.PointCloud(np.random.default_rng(0).random((60, 3)), dimension=3)
+    for shape, dimension in ((bt.shapes.flat_torus(rows=8, columns=8), 2), (volume, 3)):
+        assert shape.coordinates is (shape.vertices if isinstance(shape, bt.TriangleMesh) else shape.points)
+        assert bt.operators(shape).coordinates is shape.coordinates
+        assert shape.intrinsic_dimension == dimension

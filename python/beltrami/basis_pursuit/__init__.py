@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +23,10 @@ from .. import arrays
 from ..arrays import Floats
 from ..conformal import SphericalMapResult, spherical_map
 from ..eigen import Eigenpairs, eigenpairs
-from ..errors import Cancelled, ConvergenceError, InputError, NumericalError, TopologyError
+from ..errors import ConvergenceError, InputError, NumericalError, TopologyError
 from ..files import written
 from ..operators import Operators, operators
-from ..progress import Progress, reporter
+from ..progress import Progress, reporter, teller
 from ..register import register
 from ..sampling import farthest_points
 from ..shapes import Shape, TriangleMesh
@@ -102,7 +102,7 @@ def conformal_eigenpairs(
 
 
 def _surface_only(ops: Operators) -> None:
-    dimension = 2 if isinstance(ops.shape, TriangleMesh) else ops.shape.dimension
+    dimension = ops.shape.intrinsic_dimension
     if dimension != 2:
         raise InputError(f"the shape has dimension {dimension}; a conformal change leaves the stiffness as it is for surfaces only")
 
@@ -207,7 +207,7 @@ def match_spectrum(
     steps = arrays.whole(max_iterations, "max_iterations", 1)
     if len(ops.component_masses) > 1:
         raise InputError(f"the shape has {len(ops.component_masses)} components; match the spectrum of one")
-    report = _reporting(progress, "match spectrum")
+    report = teller(reporter(progress, "match spectrum"))
     k, area = len(wanted), float(ops.mass.sum())
     mass = ops.mass / area
     more = min(4, int(np.count_nonzero(mass)) - k)  # values beyond the last: they must not come below it
@@ -269,16 +269,6 @@ def _close(logs: Floats, numbers: Indices) -> tuple[Indices, Indices]:
 
 
 # --- maps and their factors ---------------------------------------------------------------------------------------------------------
-
-
-def _reporting(progress: Progress, label: str) -> Callable[[float], None]:
-    call = reporter(progress, label)
-
-    def report(share: float) -> None:
-        if call is not None and call(share) is False:
-            raise Cancelled("stopped on request before the work was done")
-
-    return report
 
 
 def factor_of_map(source: Surface, target: Surface, forward: Indices, blur: float = BLUR, sweeps: int = 3) -> Floats:
@@ -715,7 +705,7 @@ def register_conformal(
         Weights of the features' misfit and of the change of η, ``∫ |grad δη|² + δη²``, against the mean Dirichlet energy of Φ.
     orientation : {"preserving", "reversing", "any"}
         Of the map, for spherical starts: ``"reversing"`` for a mirror image of the source.
-    rng : int or numpy Generator, optional
+    rng : int or numpy Generator
         For the sampling of feature pairs.
     progress : callable or True, optional
         Called with the share of work done; returning False stops with :class:`Cancelled`.
@@ -756,13 +746,10 @@ def register_conformal(
     finest = None if refine is None else arrays.whole(refine, "refine", 10)
     sweeps = arrays.whole(sweeps, "sweeps", 0)
     first, second = arrays.number(misfit_weight, "misfit_weight", above=0), arrays.number(smoothness, "smoothness", above=0)
-    if start not in ("auto", "spherical", "landmarks", "register"):
-        raise InputError(f"start is {start!r}; choose 'auto', 'spherical', 'landmarks' or 'register'")
-    if orientation not in ("preserving", "reversing", "any"):
-        raise InputError(f"orientation is {orientation!r}; choose 'preserving', 'reversing' or 'any'")
-    generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(None if rng is None else arrays.whole(rng, "rng", 0))
-    report = _reporting(progress, "register conformal")
-    task = _Task(a, b, marks, tables, generator, orientation, [])
+    arrays.word(start, "start", get_args(Start))
+    arrays.word(orientation, "orientation", get_args(Orientation))
+    report = teller(reporter(progress, "register conformal"))
+    task = _Task(a, b, marks, tables, arrays.generator(rng), orientation, [])
 
     candidates, settled = _starts(task, start, report)
     report(0.4)

@@ -21,7 +21,7 @@ from ..errors import Cancelled, Error, InputError, NumericalError, TopologyError
 from ..files import written
 from ..near import nearest_neighbors
 from ..operators import Operators, operators
-from ..progress import Progress, part, reporter
+from ..progress import Progress, part, reporter, teller
 from ..sampling import poisson_disc
 from ..shapes import PointCloud, Shape, TriangleMesh
 from ..solvers import Cholesky
@@ -48,10 +48,6 @@ LEAST_SHARE = 0.5  # samples hotter than twice the temperature are dense enough 
 CLUMP = 30  # neighbours whose mean spacing is to be expected
 FARTHEST = 4.0  # how many times their measured spacing the points at the outskirts may be apart
 LOST = 1e-6  # how far the two committors' sum may be from 1
-
-
-def _dimension(ops: Operators) -> int:
-    return ops.shape.dimension if isinstance(ops, CloudOperators) else 2
 
 
 def _some(numbers: npt.NDArray[Any]) -> str:
@@ -233,7 +229,7 @@ def _weak(
             if edges is None:
                 upper = scipy.sparse.coo_array(scipy.sparse.triu(ops.stiffness, 1))
                 edges = upper.row, upper.col
-            level = weighted.level_of_set(ops.coordinates, inside, edges, _dimension(ops))
+            level = weighted.level_of_set(ops.coordinates, inside, edges, ops.shape.intrinsic_dimension)
         found.append(level)
     coarse = weighted.elements(ops, u, exact, (found[0], found[1]))
     _reached(coarse, *members)
@@ -494,8 +490,7 @@ def _sampled(
                 "weights) or 'mixed' (of several temperatures, with their energies)"
             )
         sampling = "any"
-    if sampling not in get_args(Sampling):
-        raise InputError(f"sampling is {sampling!r}; choose one of {', '.join(map(repr, get_args(Sampling)))}")
+    arrays.word(sampling, "sampling", get_args(Sampling))
     if sampling == "any":
         if weights is not None or sample_beta is not None:
             raise InputError("weights and sample_beta say how points were sampled; sampling='any' asks for neither")
@@ -780,10 +775,10 @@ class CommittorResult:
             at = int(before[at])
         return mesh.points[chain[::-1]].copy()
 
-    def streamlines(self, count: int = 20, *, rng: int | np.random.Generator = 0) -> list[Floats]:
+    def streamlines(self, count: int = 20, *, rng: int | np.random.Generator | None = 0) -> list[Floats]:
         """Lines of the mean reactive current from A to B, (k, D) each, started where the flux through q = 1/2 is, in proportion to it."""
         wanted = arrays.whole(count, "count", 1, 100_000)
-        generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(arrays.whole(rng, "rng", 0))
+        generator = arrays.generator(rng)
         middle = self.isocommittor(0.5)
         # systematic sampling: evenly over the flux, whatever the order of the edges
         order = np.argsort(middle.points @ np.linalg.svd(middle.points - middle.points.mean(0), full_matrices=False)[2][0], kind="stable")
@@ -806,7 +801,7 @@ class CommittorResult:
             How many lines of the reactive current to draw.
         """
         shown = {"label": "committor", "limits": (0.0, 1.0), **options}
-        shape, values, two = self.shape, self.q, self._dimension == 2
+        shape, values, two = self.shape, self.q, self.shape.intrinsic_dimension == 2
         ops = self._system.ops
         if two and surface and isinstance(ops, CloudOperators):
             shape = TriangleMesh(ops.shape.points, ops.simplices[ops.votes >= 2])
@@ -836,9 +831,8 @@ class CommittorResult:
 
     def table(self) -> dict[str, npt.NDArray[Any]]:
         """The arrays with a row a point."""
-        points = self.shape.points if isinstance(self.shape, PointCloud) else self.shape.vertices
         names = ("q", "q_backward", "current", "reactive_density", "potential", "in_A", "in_B")
-        return {"points": points, **{name: getattr(self, name) for name in names}}
+        return {"points": self.shape.coordinates, **{name: getattr(self, name) for name in names}}
 
     def scalars(self) -> dict[str, float]:
         """The rates, and what certifies them."""
@@ -846,21 +840,13 @@ class CommittorResult:
         found |= {"rate_constant": self.rate_constant, "rate_constant_backward": self.rate_constant_backward, "share_A": self.share_A}
         return found if self.rate_error is None else {**found, "rate_error": self.rate_error}
 
-    @property
-    def _dimension(self) -> int:
-        return self.shape.dimension if isinstance(self.shape, PointCloud) else 2
-
     def _spread(self, values: Floats) -> Floats:
         """Values at the nodes as values at the shape's points: the nearest one's where points were thinned out."""
         own = values[: self._system.count]
         if self._kept is None:
             return own.copy()
-        base = nearest_neighbors(self._system.mesh.points[: self._system.count], _positions(self.shape), 1)[0][:, 0]
+        base = nearest_neighbors(self._system.mesh.points[: self._system.count], self.shape.coordinates, 1)[0][:, 0]
         return own[base]
-
-
-def _positions(shape: Shape) -> Floats:
-    return shape.points if isinstance(shape, PointCloud) else shape.vertices
 
 
 def _passage(system: _System, which: int) -> Floats:
@@ -991,7 +977,7 @@ def committor(
     max_points: int | None = None,
     bootstrap: int = 0,
     block: int = 1,
-    rng: int | np.random.Generator = 0,
+    rng: int | np.random.Generator | None = 0,
     progress: Progress = None,
 ) -> CommittorResult:
     """Probability of reaching B before A, and the rate of reactions from A to B, for ``dX = -grad U dt + sqrt(2 / β) dW`` on a shape.
@@ -1071,8 +1057,7 @@ def committor(
     beta = arrays.number(beta, "beta", above=0.0)
     replicates = arrays.whole(bootstrap, "bootstrap", 0, 10_000)
     length = arrays.whole(block, "block", 1)
-    if method not in get_args(Method):
-        raise InputError(f"method is {method!r}; choose one of {', '.join(map(repr, get_args(Method)))}")
+    arrays.word(method, "method", get_args(Method))
     given = shape.shape if isinstance(shape, Operators) else shape
     first = part(report, 0.0, 0.4 / (1 + replicates))
     ops = shape if isinstance(shape, Operators) else operators(shape, progress=first)
@@ -1114,10 +1099,10 @@ def committor(
         return None if level is None else (lambda places: _called(given, places, name))
 
     if refine is None:
-        levels = 1 if _dimension(ops) == 2 and method == "weak" else 0
+        levels = 1 if ops.shape.intrinsic_dimension == 2 and method == "weak" else 0
     else:
         levels = arrays.whole(refine, "refine", 0, 3)
-        if levels and (_dimension(ops) != 2 or method != "weak"):
+        if levels and (ops.shape.intrinsic_dimension != 2 or method != "weak"):
             raise InputError(f"refine is {levels}; triangles are split, and only in the weak form")
     remedy = "refine less, or take " + ("fewer points (max_points=)" if isinstance(ops.shape, PointCloud) else "a coarser mesh")
     arrays.room(250.0 * 4**levels * len(ops.mass), f"refine = {levels} of {len(ops.mass)} points", remedy)  # numbers as measured
@@ -1156,15 +1141,13 @@ def committor(
     amount = np.exp(-u) / partition
     errors = np.zeros(0)
     if replicates:
-        generator = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(arrays.whole(rng, "rng", 0))
         assert isinstance(given, PointCloud)
         halves = {"method": method, "sampling": sampling, "refine": refine, "max_points": max_points, "beta": beta}
         errors = _half_samples(
-            given, potential, (A, a), (B, b), (weights, sample_beta, drift), halves, replicates, length, generator,
+            given, potential, (A, a), (B, b), (weights, sample_beta, drift), halves, replicates, length, arrays.generator(rng),
             part(report, 1.0 / (1 + replicates), 1.0),
         )  # fmt: skip
-    if report is not None and report(1.0) is False:
-        raise Cancelled("stopped on request")
+    teller(report)(1.0)
     return CommittorResult(
         shape=given, q=q, q_backward=q_backward, rate=rate, rate_error=_error(errors, rate) if replicates else None, rate_flux=flux,
         rate_flux_error=flux_error, rate_constant=rate / share_a, rate_constant_backward=rate / (1 - share_a), share_A=share_a,
@@ -1264,8 +1247,7 @@ def _half_samples(
             raise
         except Error as error:  # a half may fall apart where the whole does not
             reason = str(error)
-        if report is not None and report((replicate + 1) / replicates) is False:
-            raise Cancelled("stopped on request")
+        teller(report)((replicate + 1) / replicates)
     if len(rates) < max(2, replicates / 2):
         raise NumericalError(f"{replicates - len(rates)} of {replicates} half-samples have no committor, the last because: {reason}")
     return np.array(rates)

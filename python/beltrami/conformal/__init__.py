@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +21,10 @@ import scipy
 
 from .. import _core, arrays
 from ..arrays import Floats, Ints
-from ..errors import Cancelled, InputError, NumericalError, TopologyError
+from ..errors import InputError, NumericalError, TopologyError
 from ..files import save_fields
 from ..operators import Operators, operators
-from ..progress import Progress, reporter
+from ..progress import Progress, reporter, teller
 from ..shapes import PointCloud, Shape, TriangleMesh, no_shape
 from ..solvers import Cholesky, plus_diagonal
 from ..view import Page, Picture, plot
@@ -109,10 +109,6 @@ class SphericalMapResult:
         )
 
     @property
-    def _source(self) -> Floats:
-        return self.shape.points if isinstance(self.shape, PointCloud) else self.shape.vertices
-
-    @property
     def sphere(self) -> TriangleMesh:
         """The image as a mesh."""
         return TriangleMesh(self.positions, self.faces)
@@ -156,13 +152,13 @@ class SphericalMapResult:
         -------
         ndarray (rows, columns) or (rows, columns, c)
         """
-        given = np.asarray(self._source if values is None else values)
+        given = np.asarray(self.shape.coordinates if values is None else values)
         given = arrays.floats(given, "values", (len(self.positions), *([None] * (given.ndim - 1))))
         rows, columns = arrays.whole(rows, "rows", 2), arrays.whole(columns, "columns", 2)
         channels = given.size // len(given)
         arrays.room((20.0 + 2 * channels) * rows * columns, f"a grid of {rows} x {columns}", "take fewer rows or columns")
         directions = spherical.grid_directions(rows, columns).reshape(-1, 3)
-        found = spherical.surface_map(directions, self.positions, self.faces, self._source).pull_back(given)
+        found = spherical.surface_map(directions, self.positions, self.faces, self.shape.coordinates).pull_back(given)
         return found.reshape(rows, columns, *given.shape[1:])
 
     def map_to(self, other: SphericalMapResult) -> spherical.SurfaceMap:
@@ -185,7 +181,7 @@ class SphericalMapResult:
         (642, 3)
         """
         _needed(other, "other", SphericalMapResult)
-        return spherical.surface_map(self.positions, other.positions, other.faces, other._source)
+        return spherical.surface_map(self.positions, other.positions, other.faces, other.shape.coordinates)
 
     def turned(self, rotation: npt.ArrayLike) -> SphericalMapResult:
         """The same map, its sphere turned by a (3, 3) rotation matrix: each position p becomes ``rotation @ p``."""
@@ -207,7 +203,7 @@ class SphericalMapResult:
         weights = None
         if isinstance(self.shape, PointCloud):
             weights = self.weights
-        vertices, size = _scaled(self._source)
+        vertices, size = _scaled(self.shape.coordinates)
         surface = _Surface(vertices, faces, weights)
         if weights is not None:
             surface.mass = operators(self.shape).mass / size**2
@@ -291,7 +287,7 @@ class SphericalMapResult:
         degree = arrays.whole(degree, "degree", 0, 100)
         if (degree + 1) ** 2 > len(self.positions):
             raise InputError(f"degree {degree} has {(degree + 1) ** 2} coefficients, the shape {len(self.positions)} vertices")
-        given = np.asarray(self._source if values is None else values)
+        given = np.asarray(self.shape.coordinates if values is None else values)
         given = arrays.floats(given, "values", (len(self.positions), *([None] * (given.ndim - 1))))
         return spherical.fit_harmonics(self.positions, self.image_areas, given.reshape(len(given), -1), degree)
 
@@ -336,12 +332,10 @@ class SphericalMapResult:
         path, **options
             As for :func:`beltrami.plot`.
         """
-        if on not in ("shape", "sphere"):
-            raise InputError(f"on is {on!r}; choose 'shape' or 'sphere'")
-        target: Any = self.sphere if on == "sphere" else self.shape
+        target: Any = self.sphere if arrays.word(on, "on", ("shape", "sphere")) == "sphere" else self.shape
         if isinstance(values, str):
             if values == "checkerboard":
-                source = self.positions if on == "sphere" else self._source
+                source = self.positions if on == "sphere" else self.shape.coordinates
                 positions = self.positions
                 if isinstance(target, TriangleMesh) and len(self.faces):
                     target, positions = spherical.refined(source, self.faces, positions, 40_000)
@@ -1009,16 +1003,6 @@ def _sphere_mesh(mesh: TriangleMesh) -> Faces:
     return oriented.faces.astype(np.int64)
 
 
-def _reporting(progress: Progress) -> Callable[[float], None]:
-    call = reporter(progress, "spherical map")
-
-    def report(share: float) -> None:
-        if call is not None and call(share) is False:
-            raise Cancelled("stopped on request before the work was done")
-
-    return report
-
-
 def _scaled(vertices: Floats) -> tuple[Floats, float]:
     """Vertices about the origin and of size 1, so that products of lengths stay in range; and the size they had."""
     middle = 0.5 * (vertices.max(0) + vertices.min(0))
@@ -1107,11 +1091,10 @@ def spherical_map(
     >>> r.flipped, r.excess < 0.02
     (0, True)
     """
-    if not isinstance(method, str) or method not in _STEPS:
-        raise InputError(f"method is {method!r}; choose one of {', '.join(map(repr, _STEPS))}")
+    arrays.word(method, "method", get_args(Method))
     tolerance = arrays.number(tolerance, "tolerance", above=0)
     steps = _STEPS[method] if max_iterations is None else arrays.whole(max_iterations, "max_iterations", 1)
-    task = _Task(method, tolerance, steps, _reporting(progress))
+    task = _Task(method, tolerance, steps, teller(reporter(progress, "spherical map")))
     given = shape.shape if isinstance(shape, Operators) else shape
     if isinstance(given, TriangleMesh):
         return _map_mesh(given, bool(fill_holes), task)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -48,8 +48,7 @@ class _Surface:
 
     def __init__(self, shape: Shape | Operators, tv: TotalVariation) -> None:
         ops = self.operators = operators(shape)
-        if tv not in ("isotropic", "edge"):
-            raise InputError(f"tv is {tv!r}; choose 'isotropic' or 'edge'")
+        arrays.word(tv, "tv", get_args(TotalVariation))
         corners, sides, areas = simplices(ops)
         dimension = corners.shape[1] - 1
         if dimension not in (1, 2, 3):
@@ -293,8 +292,7 @@ class SegmentationResult:
 
 
 def _stack(result: SegmentationResult) -> Floats:
-    space = (result.shape.points if isinstance(result.shape, PointCloud) else result.shape.vertices).shape[1]
-    return np.concatenate([np.zeros((0, space)), *result.contours])
+    return np.concatenate([result.shape.coordinates[:0], *result.contours])
 
 
 def _fields(result: Any) -> dict[str, Any]:

@@ -317,10 +317,10 @@ def skeleton(
     given = shape.shape if isinstance(shape, Operators) else shape
     if not isinstance(given, TriangleMesh | PointCloud):
         raise no_shape(given)
-    count = len(given.points) if isinstance(given, PointCloud) else len(given.vertices)
+    count = len(given.coordinates)
     if count < 10:
         raise InputError(f"{count} points are too few for a skeleton; 10 or more are needed")
-    values = _values(given, function, source, count, report)
+    values = _values(given, function, source, count)
     if isinstance(given, PointCloud):
         if given.dimension != 2:
             raise InputError(f"skeletons are made of surfaces; this cloud has dimension {given.dimension}")
@@ -466,7 +466,7 @@ def _most_even(even: _Evenness, space: Floats) -> Floats:
     return np.asarray(best, np.float64)
 
 
-def _values(given: Shape, function: Any, source: int | None, count: int, report: Any) -> Floats | None:
+def _values(given: Shape, function: Any, source: int | None, count: int) -> Floats | None:
     if isinstance(function, str):
         if function not in ("eigenfunction", "eccentricity", "geodesic"):
             raise InputError(f"function is {function!r}; choose 'eigenfunction', 'eccentricity', 'geodesic' or give an array")
@@ -616,7 +616,7 @@ def _assembled(
         pieces += [name] * len(drawing.nodes)
         start += len(drawing.nodes)
     places = np.concatenate(nodes)
-    coordinates = shape.points if isinstance(shape, PointCloud) else shape.vertices
+    coordinates = shape.coordinates
     node_of_point = np.full(len(coordinates), -1)
     node_of_point[complex_.origin] = owners
     missing = np.flatnonzero(node_of_point < 0)

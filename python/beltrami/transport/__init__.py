@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -341,8 +341,7 @@ def still(problem: Problem) -> dict[str, Any]:
 
 def options_in(method: str, tolerance: float, max_iterations: int, memory: float | None) -> tuple[float, int, float]:
     """Checked options that all doors share."""
-    if method not in ("primal_dual", "projected_gradient"):
-        raise InputError(f"method is {method!r}; choose 'primal_dual' or 'projected_gradient'")
+    arrays.word(method, "method", get_args(Method))
     wished = arrays.number(tolerance, "tolerance", above=0)
     return wished, arrays.whole(max_iterations, "max_iterations", 1), MEMORY if memory is None else arrays.number(memory, "memory", least=0)
 

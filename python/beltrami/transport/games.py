@@ -57,7 +57,7 @@ def _cost(value: object, name: str, count: int) -> Cost | None:
     return value
 
 
-def _within(surface: Surface, density: Floats, name: str, limit: object) -> None:
+def _within(density: Floats, name: str, limit: object) -> None:
     if limit is None:
         return
     over = density - np.asarray(limit) > 1e-12 * density.max()
@@ -161,9 +161,9 @@ def mean_field_game(
             there, mass = room.sum() * surface.total, needed.sum() * surface.total
             raise InputError(f"the density cap leaves room for a mass of {there:.6g}, there is {mass:.6g}; raise the cap")
     if running is not None:
-        _within(surface, start, "density0", running.upper)
+        _within(start, "density0", running.upper)
         if end is not None:
-            _within(surface, end, "density1", running.upper)
+            _within(end, "density1", running.upper)
     problem = Problem(surface, start, end, arrays.whole(intervals, "intervals", 1), lagrangian, running, terminal, limit)
     certificate, iterations = continuity.solve(problem, method, wished, most, GapWatch(progress, "game", wished))
     fields, value = flow_fields(problem, certificate, iterations, wished)
