@@ -25,7 +25,7 @@ from .errors import (
     NumericalError,
     TopologyError,
 )
-from .files import load, save
+from .files import load, load_values, save
 from .geodesic import HeatMethod, geodesic_distance
 from .maps import MapEvaluation, evaluate_map, functional_map_of, point_map_of, transfer
 from .near import ClosestPointsResult, RayHitsResult, closest_points, intersect_rays, nearest_neighbors, neighbors_within, normals
@@ -102,6 +102,7 @@ __all__ = [
     "hks",
     "intersect_rays",
     "load",
+    "load_values",
     "match_spectrum",
     "mean_field_game",
     "molecules",

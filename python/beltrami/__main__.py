@@ -312,10 +312,13 @@ def _image_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)
     _output(parser)
-    parser.add_argument("--values", help="the image: a field of the file, or a file of numbers, one (or one row) a vertex (its colours)")
     parser.add_argument(
-        "--fidelity", type=float, help="weight of the image against length (30 over its variance for segment, 100 over its range)"
+        "--values", help="the image: a field of the file, or a file of numbers (see plot), one or one row a vertex (the colours)"
     )
+    weight = (
+        "weight of the image against length (segment: 7.5 over its variance, more until no region is empty; denoise: 100 over its range)"
+    )
+    parser.add_argument("--fidelity", type=float, help=weight)
     parser.add_argument("--tv", choices=("isotropic", "edge"), default="isotropic", help="total variation on triangles, or a graph cut's")
     parser.add_argument("--tolerance", type=float, help="relative gap to stop at (1e-4)")
     parser.add_argument("--max-iterations", type=int, default=2000)
@@ -345,16 +348,21 @@ def segment(options: Options) -> int:
     image = _image(options, shape)
     spread = float(np.var(image.reshape(len(image), -1), axis=0).sum())
     fidelity = options.fidelity if options.fidelity is not None else 30.0 / (4 * spread) if spread > 0 else 1.0
-    r = bt.segment(
-        _operators(shape),
-        image,
-        fidelity=fidelity,
-        regions=options.regions,
-        tv=options.tv,
-        tolerance=options.tolerance,
-        max_iterations=options.max_iterations,
-        progress=Bar("segment"),
-    )
+    operators = _operators(shape)
+    for tries in range(5):
+        r = bt.segment(
+            operators,
+            image,
+            fidelity=fidelity,
+            regions=options.regions,
+            tv=options.tv,
+            tolerance=options.tolerance,
+            max_iterations=options.max_iterations,
+            progress=Bar("segment"),
+        )
+        if options.fidelity is not None or not r.notes or tries == 4:
+            break
+        fidelity *= 4
     means = [" ".join(f"{value:.5g}" for value in mean) for mean in r.means]
     table([(k, area, area / r.areas.sum(), mean) for k, (area, mean) in enumerate(zip(r.areas, means, strict=True))],
           ("region", "area", "share", "mean"))  # fmt: skip
@@ -362,6 +370,8 @@ def segment(options: Options) -> int:
     rows += [("proved lower bound", r.dual), ("relative gap", r.gap), ("excess of the labels", r.excess), ("iterations", r.iterations)]
     print()
     table([*rows, ("converged", r.converged)])
+    for note in r.notes:
+        print(note)
     write(options, shape, {"labels": r.labels, "phi": r.phi}, {"region": r.labels}, result=r, lines=r.contours or None, **look)
     return DONE if r.converged else _unfinished(r)
 
@@ -945,7 +955,9 @@ def _plot_options(parser: argparse.ArgumentParser) -> None:
     _input(parser)
     _look(parser)
     parser.add_argument("-o", "--out", action="append", metavar="OUT", required=True, help=".png or .html; may be given several times")
-    parser.add_argument("--values", help="a field of the file, or a file of numbers (.npy, .npz, .csv, .txt), one a vertex or a face")
+    parser.add_argument(
+        "--values", help="a field of the file, or a file of numbers, one a vertex or a face (.npy .npz .csv .txt, GIFTI, FreeSurfer)"
+    )
     parser.add_argument("--colormap")
     parser.add_argument("--contours", type=int, help="how many contour lines")
     parser.add_argument("--limits", type=float, nargs=2, metavar=("LOW", "HIGH"))
@@ -977,28 +989,15 @@ def _values(name: str | None, shape: Any) -> tuple[Any, str | None]:
     path = Path(name)
     if not path.exists():
         raise InputError(f"--values {name}: no such file, and the shape has no such field (it has {', '.join(shape.data) or 'none'})")
-    try:
-        if path.suffix.lower() == ".npy":
-            return _only(path), path.stem
-        if path.suffix.lower() == ".npz":
-            count = len(shape.coordinates)
-            fields = {key: array for key, array in stored(path).items() if array.shape == (count,)}
-            if not fields:
-                raise InputError(f"--values {name}: none of its arrays has one number a vertex")
-            return (fields, None) if len(fields) > 1 else next((array, key) for key, array in fields.items())
-        separator = "," if path.suffix.lower() == ".csv" else None
-        with path.open(encoding="utf-8-sig") as stream:
-            first = stream.readline()
-        try:
-            [float(word) for word in first.split(separator)]
-            skip = 0
-        except ValueError:
-            skip = 1
-        return np.loadtxt(path, delimiter=separator, skiprows=skip), path.stem
-    except (OSError, ValueError) as error:
-        if isinstance(error, Error):
-            raise
-        raise FileError(f"{name} cannot be read as numbers: {error}") from None
+    if path.suffix.lower() == ".npz":
+        count = len(shape.coordinates)
+        fields = {key: array for key, array in stored(path).items() if array.shape == (count,)}
+        if not fields:
+            raise InputError(f"--values {name}: none of its arrays has one number a vertex")
+        return (fields, None) if len(fields) > 1 else next((array, key) for key, array in fields.items())
+    stem = path.name.removesuffix(".gz").removesuffix(".gii")
+    label = stem.split(".")[-1] if stem.startswith(("lh.", "rh.")) else Path(stem).stem  # lh.sulc, as FreeSurfer names it
+    return bt.load_values(path), label
 
 
 def _gallery_options(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ from .errors import DependencyError, FileError, InputError
 from .progress import Progress, reporter
 from .shapes import PointCloud, TriangleMesh
 
-__all__ = ["load", "save", "to_pyvista", "to_trimesh"]
+__all__ = ["load", "load_values", "save", "to_pyvista", "to_trimesh"]
 
 Fields = list[tuple[str, npt.NDArray[Any]]]
 Format = Literal["obj", "ply", "stl", "off", "xyz", "pts", "csv"]
@@ -27,6 +27,7 @@ Reporter = Callable[[float], object] | None
 
 _OWN = {".obj", ".ply", ".stl", ".off", ".coff", ".noff", ".cnoff", ".xyz", ".xyzn", ".xyzrgb", ".asc", ".txt", ".pts", ".csv", ".tsv"}
 _FREESURFER = (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd")  # triangles, quadrangles, quadrangles of the newer kind
+_CURV = b"\xff\xff\xff"  # numbers at vertices: the number of quadrangles, too, but of another length
 _NO_FACES = np.zeros((0, 3), np.int32)
 
 
@@ -98,6 +99,96 @@ def load(
         if weld:
             loaded = _core.weld(loaded[0], loaded[1], _storable(loaded[2])[0])
     return _shape(*loaded, dimension)
+
+
+def load_values(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
+    """Reads numbers of the vertices, in the order of the file: an image for a shape that is another file.
+
+    Parameters
+    ----------
+    path : path
+        ``.npy``; ``.npz`` with one array; text with a row a vertex (``.csv`` with commas, others with spaces; a first line of words is a
+        heading); curv files of FreeSurfer (``lh.sulc``, ``lh.thickness`` ...); GIFTI, FreeSurfer's ``.annot``, ``.mgh`` and ``.mgz``
+        through nibabel (``pip install 'beltrami[neuro]'``).
+
+    Returns
+    -------
+    ndarray (n,) or (n, k)
+        Numbers with the file's type; labels (``.annot``) are integers, -1 where there is none.
+
+    Raises
+    ------
+    FileError
+        The file is missing, broken, or holds no numbers of vertices.
+    DependencyError
+        nibabel is needed and missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> import beltrami as bt
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savetxt(f"{folder}/depth.txt", [0.5, -1.0, 2.0])
+    ...     bt.load_values(f"{folder}/depth.txt").tolist()
+    [0.5, -1.0, 2.0]
+    """
+    path = arrays.file(path, "path")
+    suffix = _suffix(str(path))
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:  # a zero byte in the name
+        raise FileError(f"{path}: cannot be read: {error}") from None
+    if suffix in (".npy", ".npz"):
+        fields = stored(path)
+        if len(fields) != 1:
+            raise FileError(f"{path} holds {len(fields)} arrays ({', '.join(fields) or 'none'}); one is needed")
+        return next(iter(fields.values()))
+    if suffix in (".gii", ".annot", ".mgh", ".mgz"):
+        return _values_by_nibabel(path, suffix)
+    if content[:3] == _CURV:
+        count = int.from_bytes(content[3:7], "big")
+        if len(content) != 15 + 4 * count:
+            raise FileError(f"{path}: no curv file of FreeSurfer: {len(content)} bytes where {count} vertices need {15 + 4 * count}")
+        return np.frombuffer(content, ">f4", offset=15).astype(np.float32)
+    try:
+        lines = content.decode("utf-8-sig").splitlines()
+        if not any(line.strip() for line in lines):
+            raise FileError(f"{path} is empty; a row a vertex is needed")
+        separator = "," if suffix == ".csv" else None
+        rows = np.loadtxt(lines, delimiter=separator, skiprows=int(_is_heading(lines[0], separator)))
+    except ValueError as error:
+        raise FileError(f"{path} cannot be read as numbers: {error}") from None
+    return np.atleast_1d(rows)
+
+
+def _is_heading(line: str, separator: str | None) -> bool:
+    try:
+        for word in line.split(separator):
+            float(word)
+    except ValueError:
+        return True
+    return False
+
+
+def _values_by_nibabel(path: Path, suffix: str) -> npt.NDArray[Any]:
+    nibabel = _nibabel(str(path))
+    try:
+        if suffix == ".annot":
+            return np.asarray(nibabel.freesurfer.read_annot(str(path))[0])
+        if suffix == ".gii":
+            geometry = [nibabel.nifti1.intent_codes[f"NIFTI_INTENT_{name}"] for name in ("POINTSET", "TRIANGLE")]
+            columns = [np.asarray(array.data) for array in _gifti(nibabel, str(path)).darrays if array.intent not in geometry]
+            if not columns:
+                raise FileError(f"{path}: holds a surface and no numbers of its vertices")
+            return columns[0] if len(columns) == 1 else np.column_stack(columns)
+        return np.squeeze(np.asarray(nibabel.load(str(path)).dataobj))
+    except FileError:
+        raise
+    except Exception as error:
+        raise FileError(f"{path}: nibabel cannot read it: {type(error).__name__}: {error}") from error
 
 
 def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = None, ascii: bool = False, progress: Progress = None) -> None:
@@ -346,13 +437,17 @@ def _through_trimesh(path: str) -> tuple[Floats, Ints, Fields]:
     return _named(path, lambda: _from_trimesh(found))
 
 
-def _from_gifti(path: str) -> tuple[Floats, Ints, Fields]:
-    nibabel = _nibabel(path)
+def _gifti(nibabel: Any, path: str) -> Any:
     try:
         content = Path(path).read_bytes()
-        image = nibabel.GiftiImage.from_bytes(gzip.decompress(content) if content[:2] == b"\x1f\x8b" else content)
+        return nibabel.GiftiImage.from_bytes(gzip.decompress(content) if content[:2] == b"\x1f\x8b" else content)
     except Exception as error:
         raise FileError(f"{path}: no GIFTI file: {type(error).__name__}: {error}") from error
+
+
+def _from_gifti(path: str) -> tuple[Floats, Ints, Fields]:
+    nibabel = _nibabel(path)
+    image = _gifti(nibabel, path)
     codes = nibabel.nifti1.intent_codes
     points, faces, others = None, None, []
     for array in image.darrays:
@@ -364,11 +459,15 @@ def _from_gifti(path: str) -> tuple[Floats, Ints, Fields]:
         else:
             others.append((str((array.meta or {}).get("Name") or intent.removeprefix("NIFTI_INTENT_").lower()), array.data))
     if points is None:
-        raise FileError(f"{path}: holds no surface (no array of points); load the surface it belongs to")
+        raise FileError(f"{path}: holds no surface (no array of points); load the surface it belongs to, and this by load_values")
     return _named(path, lambda: _checked(points, faces, dict(others)))
 
 
 def _from_freesurfer(path: str) -> tuple[Floats, Ints, Fields]:
+    with open(path, "rb") as stream:
+        head = stream.read(7)
+    if head[:3] == _CURV and os.path.getsize(path) == 15 + 4 * int.from_bytes(head[3:], "big"):
+        raise FileError(f"{path}: holds numbers of vertices and no surface; load the surface it belongs to, and this by load_values")
     nibabel = _nibabel(path)
     try:
         points, faces = nibabel.freesurfer.read_geometry(path)

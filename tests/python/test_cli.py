@@ -323,3 +323,17 @@ def test_arrays_are_told_by_their_content(role, tmp_path, capsys):
     np.save(given, np.array([{}]))
     assert main(call) == 2
     assert capsys.readouterr().err.count("cannot be read") == 1
+
+
+def test_segment_without_a_fidelity_leaves_no_region_empty(tmp_path, capsys):
+    sphere = bt.shapes.sphere(4)
+    image = (np.abs(sphere.vertices) > 0.97).any(axis=1).astype(float)  # six small caps: 7.5 over the variance makes them vanish
+    np.savetxt(tmp_path / "image.txt", image)
+    bt.save(sphere, tmp_path / "ball.ply")
+    call = ["segment", str(tmp_path / "ball.ply"), "--values", str(tmp_path / "image.txt"), "-o", str(tmp_path / "r.npz")]
+    assert main(call) == 0
+    assert "is empty" not in capsys.readouterr().out
+    with np.load(tmp_path / "r.npz") as found:
+        assert len(np.unique(found["labels"])) == 2
+    assert main([*call, "--fidelity", "0.1"]) == 0  # what was asked for is kept, and said
+    assert "is empty" in capsys.readouterr().out

@@ -463,7 +463,28 @@ def test_gifti_and_freesurfer(tmp_path, bumpy, monkeypatch):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(bt.FileError, match=name):
             bt.load(tmp_path / name)
+    nibabel.freesurfer.write_morph_data(str(tmp_path / "lh.sulc"), curvature)
+    with pytest.raises(bt.FileError, match=r"lh.sulc: holds numbers of vertices.*load_values"):
+        bt.load(tmp_path / "lh.sulc")
+    nibabel.freesurfer.write_annot(
+        str(tmp_path / "lh.annot"), np.arange(len(curvature)) % 2, np.array([[1, 2, 3, 0], [4, 5, 6, 0]]), ["a", "b"], True
+    )
+    for name in ("values.gii", "a.gii.gz", "lh.sulc"):
+        np.testing.assert_array_equal(bt.load_values(tmp_path / name), curvature)
+    np.testing.assert_array_equal(bt.load_values(tmp_path / "lh.annot"), np.arange(len(curvature)) % 2)
+    (tmp_path / "lh.curv").write_bytes((tmp_path / "lh.sulc").read_bytes()[:-3])
+    for name, said in (
+        ("lh.curv", "no curv file"),
+        ("b.gii", "no GIFTI"),
+        ("lh.pial", "cannot be read as numbers"),
+        ("none", "No such file"),
+    ):
+        with pytest.raises(bt.FileError, match=said):
+            bt.load_values(tmp_path / name)
     monkeypatch.setitem(sys.modules, "nibabel", None)
+    np.testing.assert_array_equal(bt.load_values(tmp_path / "lh.sulc"), curvature)  # that much is read without it
+    with pytest.raises(bt.DependencyError, match=r"values.gii is read through nibabel"):
+        bt.load_values(tmp_path / "values.gii")
     for name in ("a.gii", "lh.pial"):
         with pytest.raises(bt.DependencyError, match=rf"{name} is read through nibabel.*beltrami\[neuro\]"):
             bt.load(tmp_path / name)
@@ -617,3 +638,27 @@ def test_other_packages_are_imported_only_when_needed():
         "print([m for m in ('trimesh', 'pyvista', 'meshio', 'nibabel') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_values_of_vertices_from_files(tmp_path):
+    table = np.random.default_rng(0).normal(size=(7, 3))
+    np.save(tmp_path / "a.npy", table)
+    np.savez(tmp_path / "a.npz", height=table[:, 0])
+    np.savez(tmp_path / "b.npz", height=table[:, 0], width=table[:, 1])
+    np.savetxt(tmp_path / "a.txt", table, fmt="%.17g")
+    np.savetxt(tmp_path / "a.csv", table, fmt="%.17g", delimiter=",", header="x,y,z", comments="")
+    for name in ("a.npy", "a.txt", "a.csv"):
+        np.testing.assert_array_equal(bt.load_values(tmp_path / name), table)
+    np.testing.assert_array_equal(bt.load_values(tmp_path / "a.npz"), table[:, 0])
+    (tmp_path / "one.txt").write_text("4.5\n")
+    assert bt.load_values(tmp_path / "one.txt").tolist() == [4.5]
+    (tmp_path / "ragged.txt").write_text("1 2\n3\n")
+    (tmp_path / "empty.txt").write_text("\n")
+    for name, said in (
+        ("b.npz", "holds 2 arrays"),
+        ("ragged.txt", "cannot be read as numbers"),
+        ("empty.txt", "is empty"),
+        ("none.npy", "No such file"),
+    ):
+        with pytest.raises(bt.FileError, match=said):
+            bt.load_values(tmp_path / name)

@@ -35,6 +35,7 @@ CALLS: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {
     "hks": ((SPHERE,), {"k": 10}),
     "intersect_rays": ((SPHERE, SPHERE.vertices * 2, -SPHERE.vertices), {}),
     "load": (((SPHERE.vertices, SPHERE.faces),), {}),
+    "load_values": (("values.txt",), {}),
     "match_spectrum": ((SPHERE, np.arange(4.0) * 3), {"max_iterations": 1}),
     "mean_field_game": ((SPHERE, DENSITIES[0]), {"intervals": 2, "terminal_cost": bt.costs.quadratic(DENSITIES[1]), "max_iterations": 5}),
     "nearest_neighbors": ((SPHERE, SPHERE, 2), {}),
@@ -77,6 +78,7 @@ def test_every_function_is_called_here() -> None:
 def test_wrong_arguments_are_refused_in_words(name: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever an argument is, it does or it raises an error of beltrami that says something."""
     monkeypatch.chdir(tmp_path)  # "a" is a path where one is wanted
+    np.savetxt("values.txt", SPHERE.vertices)
     function = getattr(bt, name)
     arguments, options = CALLS[name]
     parameters = inspect.signature(function).parameters

@@ -461,3 +461,13 @@ def test_numbers_out_of_range_are_refused_and_the_rest_is_solved(verb, tv):
         r = verb(mesh, factor * image, fidelity=fidelity if factor == 1 else 30 / factor**power, tv=tv)
         assert np.isfinite([r.primal, r.dual, r.gap]).all()
         assert r.dual <= r.primal * (1 + np.sign(r.primal) * 1e-9) + 1e-12
+
+
+def test_an_empty_region_is_said_with_the_remedy():
+    mesh = bt.shapes.sphere(3)
+    r = bt.segment(mesh, cap(mesh, 0.5), fidelity=0.5)
+    assert r.areas.min() == 0
+    [note] = r.notes
+    assert "region 1 is empty: at fidelity 0.5" in note
+    assert "try 2" in note
+    assert bt.segment(mesh, cap(mesh, 0.5), fidelity=40.0).notes == ()

@@ -231,6 +231,17 @@ class SegmentationResult:
         state = "" if self.converged else ", NOT CONVERGED"
         return f"SegmentationResult({len(self.means)} regions, gap {self.gap:.1e} after {self.iterations} iterations{state})"
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was noticed: regions that are empty, because no part of the image is worth its boundary at this fidelity."""
+        empty = np.flatnonzero(self.areas == 0)
+        if not len(empty):
+            return ()
+        which = f"region {empty[0]} is" if len(empty) == 1 else f"regions {', '.join(map(str, empty))} are"
+        return (
+            f"{which} empty: at fidelity {self.fidelity:.4g} a boundary costs more than the image gains by it; try {4 * self.fidelity:.4g}",
+        )
+
     def plot(self, image: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the labels (or an image) with the contours over them; the options are those of :func:`beltrami.plot`."""
         from ..view import plot
