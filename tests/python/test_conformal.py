@@ -8,7 +8,9 @@ from pathlib import Path
 import beltrami as bt
 import numpy as np
 import pytest
-from beltrami.conformal import _Patch, _Surface, spherical
+from beltrami.conformal import spherical
+from beltrami.conformal.repair import Patch
+from beltrami.conformal.surface import Surface
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -163,7 +165,7 @@ def test_bumpy_spheres_map_without_flips(seed: int) -> None:
 def test_gradients_against_differences() -> None:
     mesh = bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=1)
     rng = np.random.default_rng(0)
-    surface = _Surface(mesh.vertices, mesh.faces.astype(np.int64))
+    surface = Surface(mesh.vertices, mesh.faces.astype(np.int64))
     s = bt.shapes.sphere(1).vertices + 0.1 * rng.normal(size=mesh.vertices.shape)
     s /= np.linalg.norm(s, axis=1)[:, None]
     along, h = rng.normal(size=s.shape), 1e-6
@@ -172,7 +174,7 @@ def test_gradients_against_differences() -> None:
     # The objective of the repair, in its chart.
     free = np.flatnonzero(s[:, 2] > 0.2)
     touched = np.flatnonzero(np.isin(mesh.faces, free).any(1))
-    patch = _Patch(surface, s, free, touched)
+    patch = Patch(surface, s, free, touched)
     epsilon, step = 0.1 * patch.sizes(patch.z), np.zeros_like(patch.z)
     step[patch.free] = rng.normal(size=(len(free), 2))
     above, below = (patch.objective(patch.z + sign * h * step, epsilon)[0] for sign in (1, -1))

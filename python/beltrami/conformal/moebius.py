@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .. import arrays
+from .. import _core, arrays
 from ..arrays import Floats
 from ..errors import InputError, NumericalError
 
@@ -151,8 +151,6 @@ class Moebius:
         InputError
             One point has half of all weight or more, so there is no such map.
         """
-        from . import centring_steps
-
         p = arrays.unit_vectors(points, "points")
         w = np.ones(len(p)) if weights is None else arrays.floats(weights, "weights", (len(p),))
         if (w < 0).any() or not w.sum() > 0:
@@ -182,3 +180,37 @@ def _from_spinor(up: Complex, down: Complex) -> Floats:
     p = np.column_stack([planar.real, planar.imag, top - bottom])
     found: Floats = p / np.sqrt((p * p).sum(1))[:, None]
     return found
+
+
+def centring_steps(s: Floats, mass: Floats, most: int = 100) -> tuple[list[Floats], Floats]:
+    """Translations whose product makes the mean, weighted by the mass, zero (Baden, Crane and Kazhdan 2018), and the centred points."""
+    weights, s = mass / mass.sum(), np.ascontiguousarray(s)
+    mean = np.einsum("i,ij->j", weights, s)
+    best = float(np.linalg.norm(mean))
+    steps: list[Floats] = []
+    for _ in range(most):
+        if best < 3e-16:
+            break
+        jacobian = 2 * (np.eye(3) - np.einsum("ij,ik->jk", s * weights[:, None], s))
+        c = -np.linalg.solve(jacobian + 1e-14 * np.eye(3), mean)
+        length = float(np.linalg.norm(c))
+        c *= min(1.0, 0.75 / length) if length > 0 else 1.0
+        for _ in range(30):
+            moved, total = _core.moebius_translated(s, (float(c[0]), float(c[1]), float(c[2])), weights)
+            mean_moved = np.array(total)
+            size = float(np.linalg.norm(mean_moved))
+            if size < best:
+                break
+            c /= 2
+        else:
+            break
+        done = best < 1e-13 and size > 0.25 * best
+        s, mean, best = moved, mean_moved, size
+        steps.append(c)
+        if done:
+            break
+    return steps, s
+
+
+def centred(s: Floats, mass: Floats, most: int = 100) -> Floats:
+    return centring_steps(s, mass, most)[1]

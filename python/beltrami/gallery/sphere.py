@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 import beltrami as bt
-from beltrami.conformal import at_vertices
+from beltrami.conformal.result import at_vertices
 from beltrami.conformal.spherical import checkerboard, refined
 
 from . import Sheet, section
