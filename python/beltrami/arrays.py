@@ -193,6 +193,12 @@ def indices(value: Any, name: str, count: int, *, empty: bool = False) -> npt.ND
     return array.astype(np.int64)
 
 
+def some(numbers: npt.NDArray[Any]) -> str:
+    """The first of some numbers, and how many more there are, for a message."""
+    text = ", ".join(map(str, numbers[:8].tolist()))
+    return f"{text} and {len(numbers) - 8} more" if len(numbers) > 8 else text
+
+
 def frozen(array: npt.NDArray[Any], given: Any) -> npt.NDArray[Any]:
     """The array, read-only; a copy if it may still share memory with what was given."""
     if array is given or not array.flags.owndata or (isinstance(given, np.ndarray) and np.may_share_memory(array, given)):
