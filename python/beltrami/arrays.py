@@ -193,6 +193,16 @@ def indices(value: Any, name: str, count: int, *, empty: bool = False) -> npt.ND
     return array.astype(np.int64)
 
 
+def pairs(value: Any, name: str, count: int, other: int) -> npt.NDArray[np.int64]:
+    """(k, 2): numbers of vertices of a source with ``count`` and of a target with ``other`` vertices."""
+    table = anything(value, name)
+    if table.size == 0:
+        return np.zeros((0, 2), np.int64)
+    if table.ndim != 2 or table.shape[1] != 2:
+        raise InputError(f"{name} has shape {table.shape}; (k, 2) vertex numbers are needed, of the source and of the target in each row")
+    return np.stack([indices(table[:, side], f"{name}[:, {side}]", n) for side, n in enumerate((count, other))], 1)
+
+
 def some(numbers: npt.NDArray[Any]) -> str:
     """The first of some numbers, and how many more there are, for a message."""
     text = ", ".join(map(str, numbers[:8].tolist()))

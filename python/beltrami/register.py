@@ -815,13 +815,12 @@ def _describe(source: Side, target: Side, landmarks: Any, descriptors: Any) -> N
             blocks.append(_joined((pair[0], pair[1]), masses, 0.3))
         blocks[-1] = (blocks[-1][0] / np.sqrt(blocks[-1][0].shape[1]), blocks[-1][1] / np.sqrt(blocks[-1][1].shape[1]))
     if landmarks is not None:
-        pairs = np.asarray(landmarks)
-        if pairs.ndim != 2 or pairs.shape[1] != 2 or len(pairs) == 0:
-            raise InputError(f"landmarks have shape {pairs.shape}; (k, 2) with k >= 1 is needed, a source and a target point a row")
-        ends = [arrays.indices(pairs[:, k], f"landmarks[:, {k}]", len(side.mass)) for k, side in enumerate((source, target))]
+        pairs = arrays.pairs(landmarks, "landmarks", len(source.mass), len(target.mass))
+        if len(pairs) == 0:
+            raise InputError("landmarks is empty; give at least one pair, or None")
         count = min(source.modes, target.modes)
         bumps = []
-        for side, points in zip((source, target), ends, strict=True):
+        for side, points in zip((source, target), pairs.T, strict=True):
             columns = []
             for time in (0.005, 0.05):
                 heat = (side.functions[points, :count] * np.exp(-side.values[:count] * time)) @ side.functions[:, :count].T + 1

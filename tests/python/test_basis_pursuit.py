@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sparse
 from beltrami.__main__ import main
-from beltrami.basis_pursuit import factor_of_map, limbs
+from beltrami.basis_pursuit import limbs
+from beltrami.basis_pursuit.starts import factor_of_map
+from beltrami.basis_pursuit.surface import Surface
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -160,7 +162,7 @@ def test_features_do_not_know_moebius_maps(seed: int, length: float) -> None:
     direction = rng.standard_normal(3)
     move = bt.Moebius.translation(length * direction / np.linalg.norm(direction))
     mesh = bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=2)
-    surface = limbs.Surface(bt.operators(mesh))
+    surface = Surface(bt.operators(mesh))
     result = bt.spherical_map(mesh)
     a, b = limbs.Sphered.of(surface, result), limbs.Sphered.of(surface, result.moved(move))
     picked = rng.choice(len(mesh.vertices), 6, replace=False)
@@ -222,12 +224,12 @@ def test_the_same_bits_on_any_number_of_threads(spot: bt.TriangleMesh) -> None:
 
 
 def test_the_factor_of_the_identity_is_one() -> None:
-    surface = limbs.Surface(bt.operators(bt.shapes.ellipsoid(1.0, 0.7, 0.5, level=3)))
+    surface = Surface(bt.operators(bt.shapes.ellipsoid(1.0, 0.7, 0.5, level=3)))
     assert np.abs(factor_of_map(surface, surface, np.arange(642))).max() < 1e-10
 
 
 def test_a_wrong_landmark_among_found_ones_is_dropped(spot: bt.TriangleMesh) -> None:
-    surface = limbs.Surface(bt.operators(spot))
+    surface = Surface(bt.operators(spot))
     side = limbs.Sphered.of(surface, bt.spherical_map(spot))
     good = np.repeat(bt.farthest_points(spot, 7).astype(np.int64), 2).reshape(-1, 2)
     wrong = good.copy()
