@@ -23,7 +23,8 @@ from .arrays import Floats
 from .errors import DependencyError, FileError, InputError
 from .files import load, stored, written
 from .progress import Progress, reporter, teller
-from .register import Eigenmap, align_eigenmaps, eigenmap, prepare, settle
+from .register.eigenmaps import Eigenmap, align_eigenmaps, eigenmap, settle
+from .register.sides import prepare
 from .shapes import PointCloud, Shape, TriangleMesh, no_shape
 from .threads import set_num_threads
 
