@@ -517,3 +517,12 @@ def test_pages_draw_the_contours_that_were_asked_for(tmp_path):
     assert levels([0.0, 0.3, -0.9, 7.0]) == [-0.9, 0.0, 0.3]  # not as many as an even spacing would give
     assert levels(None) == []
     assert len(levels(500)) == 64  # what the viewer has room for
+
+
+def test_views_go_by_the_names_that_are_given():
+    picture = bt.plot(TORUS, views={"lateral": "left", "from above": (0.0, 1.5)}, size=(300, 200))
+    assert "seen from lateral and from above" in picture.description
+    assert np.array_equal(flat(TORUS, views={"": "left"}), flat(TORUS, views="left"))
+    for wrong, said in (({}, "empty"), ({1: "left"}, "str"), ({"a": "nowhere"}, "nowhere")):
+        with pytest.raises(bt.InputError, match=said):
+            bt.plot(TORUS, views=wrong)

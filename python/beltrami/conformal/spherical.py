@@ -113,10 +113,12 @@ def on_sphere(values: Callable[[Floats], npt.ArrayLike] | npt.ArrayLike, directi
 
 
 def checkerboard(directions: Floats, squares: int = 12) -> Floats:
-    """A smooth function whose sign is a checkerboard of the Mercator projection: squares stay squares under conformal maps."""
+    """A continuous function whose sign is a checkerboard of the Mercator projection: squares stay squares under conformal maps.
+    It grows alike from every side of a square, so that corners are as sharp as sides."""
     ring = np.hypot(directions[:, 0], directions[:, 1]).clip(1e-12)
     height = np.arcsinh(directions[:, 2] / ring)
-    found: Floats = np.sin(squares * np.arctan2(directions[:, 1], directions[:, 0])) * np.sin(squares * height)
+    across, along = np.sin(squares * np.arctan2(directions[:, 1], directions[:, 0])), np.sin(squares * height)
+    found: Floats = np.sign(across * along) * np.minimum(np.abs(across), np.abs(along))
     return found
 
 

@@ -25,7 +25,7 @@ def on_torus(angle: Floats, turn: Floats) -> Floats:
 
 def three_wells(x: Floats) -> Floats:
     """Energy on the torus, in units of kT."""
-    angle, turn = np.arctan2(x[:, 1], x[:, 0]), np.arctan2(x[:, 2], np.hypot(x[:, 0], x[:, 1]) - RING)
+    angle, turn = _angles(x).T
     wells = [depth * np.exp(2.5 * (np.cos(angle - a) - 1) + 1.5 * (np.cos(turn - t) - 1)) for depth, a, t in WELLS]
     return np.asarray(-np.sum(wells, axis=0))
 
@@ -80,30 +80,44 @@ def torus(sheet: Sheet) -> None:
         "r = bt.committor(bt.PointCloud(x), U, A, B, beta=1.0)\nr.q, r.rate, r.rate_constant, r.mean_first_passage_times\n"
         "r.streamlines(40), r.path(), r.transition_states(), r.verdict"
     )
+    surface = bt.shapes.torus(RING, TUBE, rows=150, columns=60)
+    towards = [(np.cos(angle), np.sin(angle), height) for angle, height in ((-0.95, 0.35), (2.1, 0.7))]
     sheet.picture(
-        bt.shapes.torus(RING, TUBE, rows=150, columns=60),
-        _carried(shown, bt.shapes.torus(RING, TUBE, rows=150, columns=60).vertices),
+        surface,
+        _carried(shown, surface.vertices),
         label="committor",
         limits=(0.0, 1.0),
         contours=[k / 10 for k in range(1, 10)],
-        views=["top", "bottom"],
+        views={"A to the right, B to the left": towards[0], "from behind, over the third well": towards[1]},
         up="z",
         lines=shown.streamlines(30),
         line_color="#ffffff",
-        title="The probability of reaching B (yellow) before A",
-        caption="White: lines of the mean reactive current, started in proportion to the flux. They part around the torus; some pass by "
-        "the third well.",
+        points=np.stack([a_place, b_place, on_torus(np.array(WELLS[1][1]), np.array(WELLS[1][2]))]),
+        point_color=["#c72e29", "#016392", "#9aa3ad"],
+        title="The probability of reaching B before A",
+        caption="Red: A, blue: B, grey: the third well. White: lines of the mean reactive current, started in proportion to the flux. They "
+        "part around the torus; some pass by the third well.",
         interactive=True,
         size=(1600, 820),
     )
 
 
 def _carried(r: bt.CommittorResult, places: Floats) -> Floats:
-    """q at other places, from the nearest three points."""
+    """q at other places of the torus: linear functions of both angles, fitted to the nearest points."""
     assert isinstance(r.shape, bt.PointCloud)
-    near, distance = bt.nearest_neighbors(r.shape.points, places, 3)
-    weight = 1 / np.maximum(distance, 1e-9)
-    return np.asarray((weight * r.q[near]).sum(1) / weight.sum(1))
+    near, distance = bt.nearest_neighbors(r.shape.points, places, 12)
+    weight = np.exp(-((distance / (0.6 * distance[:, -1:])) ** 2))
+    away = _angles(r.shape.points)[near] - _angles(places)[:, None]
+    away = (away + np.pi) % (2 * np.pi) - np.pi
+    rows = np.concatenate([np.ones((*near.shape, 1)), away], axis=2)
+    normal = np.einsum("pk,pka,pkb->pab", weight, rows, rows) + 1e-12 * np.eye(3)
+    right = np.einsum("pk,pka,pk->pa", weight, rows, r.q[near])
+    return np.clip(np.linalg.solve(normal, right[:, :, None])[:, 0, 0], 0, 1)
+
+
+def _angles(x: Floats) -> Floats:
+    """Both angles of points of the torus."""
+    return np.stack([np.arctan2(x[:, 1], x[:, 0]), np.arctan2(x[:, 2], np.hypot(x[:, 0], x[:, 1]) - RING)], -1)
 
 
 @section("Committors: three holes in the plane")
@@ -117,6 +131,8 @@ def plane(sheet: Sheet) -> None:
     x = x[three_holes(x) <= 2.5][:12_000]
     energy = three_holes(x)
     rows = []
+    around = np.linspace(0, 2 * np.pi, 60)
+    rims = [np.column_stack([at + 0.3 * np.cos(around), -0.042 + 0.3 * np.sin(around)]) for at in (-1.048, 1.048)]
     for beta in (1.67, 6.67):
         r = bt.committor(
             bt.PointCloud(x),
@@ -136,10 +152,10 @@ def plane(sheet: Sheet) -> None:
             label="committor",
             limits=(0.0, 1.0),
             contours=[k / 10 for k in range(1, 10)],
-            lines=[*r.streamlines(24), r.path()],
-            line_color=["#ffffff"] * 24 + ["#ff5a36"],
+            lines=[*r.streamlines(24), r.path(), *rims],
+            line_color=["#ffffff"] * 24 + ["#ff5a36", "#c72e29", "#016392"],
             title=f"β = {beta:g}: {100 * detour:.0f} % of the reactions pass by the upper well",
-            caption="White: the reactive current. Orange: the path of the greatest flux, along edges between the points.",
+            caption="Circles: A (red), B (blue). White: the reactive current. Orange: the path of the greatest flux, along edges.",
             size=(1600, 1000),
         )
     header = ("β", "rate", "by flux", "±", "by the upper well, %", "range of U where q is about 1/2", "verdict")
@@ -184,10 +200,16 @@ def dipeptide(sheet: Sheet) -> None:
         "angles = bt.molecules.dihedral_angles(positions, [[1, 3, 4, 6], [3, 4, 6, 8]])\n"
         'cloud = bt.PointCloud(bt.molecules.on_torus(angles))\nr = bt.committor(cloud, None, A, B, beta=1.0, sampling="gibbs")'
     )
+    ends = np.pi * np.linspace(-1, 1, 5)
+    grid = [np.array([[at, -np.pi], [at, np.pi]]) for at in ends] + [np.array([[-np.pi, at], [np.pi, at]]) for at in ends]
     sheet.picture(
         bt.PointCloud(angles),
         {"committor": r.q, "free energy (kT)": np.minimum(r.potential, 8.0)},
-        title="Alanine dipeptide: committor and free energy over phi (to the right) and psi (upwards)",
-        caption="A point a frame; both angles run from -π to π.",
-        size=(1600, 820),
+        lines=grid,
+        line_color="#c9cfd8",
+        line_width=1.5,
+        radius=0.022,
+        title="Alanine dipeptide: committor and free energy over φ (to the right) and ψ (upwards)",
+        caption="A point a frame; both angles run from -π to π, with lines at -π, -π/2, 0, π/2, π. Opposite sides are one.",
+        size=(1600, 900),
     )

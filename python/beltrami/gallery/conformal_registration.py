@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 import beltrami as bt
+from beltrami.arrays import Floats
 
 from . import Sheet, section
 
@@ -27,6 +28,17 @@ def _match(
     seconds = time.perf_counter() - began
     away = np.linalg.norm(target.vertices[r.point_map] - target.vertices, axis=1) / np.sqrt(target.area)
     return r, (name, count, float(away.mean()), float((away < 0.05).mean()), r.coverage, r.orthonormality_error, r.start, seconds)
+
+
+def _beside(left: bt.TriangleMesh, right: bt.TriangleMesh, axis: int, across: Floats) -> bt.TriangleMesh:
+    """Both shapes in one, of equal height along an axis, one beside the other in the direction ``across``."""
+    placed, reach = [], 0.0
+    for shape in (left, right):
+        vertices = (shape.vertices - shape.vertices.mean(0)) / np.ptp(shape.vertices[:, axis])
+        along = vertices @ across
+        placed.append(vertices + (reach - along.min()) * across)
+        reach += np.ptp(along) + 0.25
+    return bt.TriangleMesh(np.concatenate(placed), np.concatenate([left.faces, right.faces + len(left.vertices)]))
 
 
 @section("Matching shapes that are far from isometric")
@@ -63,11 +75,15 @@ def known(sheet: Sheet) -> None:
     )
     height = spot.vertices[:, 1]
     lines = list(np.linspace(height.min(), height.max(), 12)[1:-1])
-    for shape, values, title, caption in (
-        (spot, height, "A function on Spot", "Height above ground."),
-        (inverted, r.push_forward(height), "The same on the image", "Brought over by the map."),
-    ):
-        sheet.picture(shape, {"height": values}, title=title, caption=caption, contours=lines, views=["right"], size=(1600, 900))
+    sheet.picture(
+        _beside(spot, inverted, 1, np.array([0.0, 0.0, -1.0])),
+        {"height": np.concatenate([height, r.push_forward(height)])},
+        contours=lines,
+        views=["right"],
+        title="A function on Spot, and brought over by the map",
+        caption="Left: height above ground. Right: the same on the image, which lies on its back.",
+        size=(1600, 760),
+    )
 
 
 @section("A cortex and its sphere")
@@ -85,7 +101,7 @@ def cortex(sheet: Sheet) -> None:
     sheet.picture(
         sphere,
         {"log w²": factor},
-        views=["left", "right", "top"],
+        views={"lateral": "left", "medial": "right", "dorsal": "top"},
         up="z",
         colormap="balance",
         limits=(-span, span),
@@ -143,22 +159,30 @@ def apes(sheet: Sheet) -> None:
         "other tips are found, and the map with the smoothest factor is taken."
     )
     sheet.table(("method", "mean error / √area", "share below 0.05", "seconds"), rows, "At 900 common samples, straight distances")
-    height = gorilla.vertices @ np.linalg.svd(gorilla.vertices - gorilla.vertices.mean(0), full_matrices=False)[2][0]
-    limits = (float(height.min()), float(height.max()))
-    size = (1600, 900)
-    title, caption = "A function on the gorilla", "Along its length."
-    sheet.picture(gorilla, {"height": height}, up="z", limits=limits, title=title, caption=caption, size=size)
+    height = gorilla.vertices[:, 2]
+    sheet.picture(
+        _beside(gorilla, man, 2, np.array([1.0, 0.0, 0.0])),
+        {"height on the gorilla": np.concatenate([height, r.push_forward(height)])},
+        up="z",
+        views="front",
+        contours=12,
+        title="A function on the gorilla, and brought over to the man",
+        caption="The height of the gorilla's points, on the gorilla and, by the map, on the man: shoulders on shoulders, knees on knees.",
+        size=(1600, 760),
+    )
     factor = r.log_factor - np.median(r.log_factor)
     span = float(np.quantile(np.abs(factor), 0.99))
     sheet.picture(
-        man, {"height of the gorilla": r.push_forward(height)}, up="z", limits=limits, title="The same on the man",
-        caption="Brought over by the map.", size=size,
-    )  # fmt: skip
-    sheet.picture(
-        man, {"log w²": factor}, up="z", limits=(-span, span), colormap="balance", size=size,
+        man,
+        {"log w²": factor},
+        up="z",
+        views=["front", "back"],
+        limits=(-span, span),
+        colormap="balance",
         title="The factor with which the man becomes the gorilla",
         caption="Where it is high, the gorilla has more area: arms and trunk against legs.",
-    )  # fmt: skip
+        size=(1600, 760),
+    )
 
 
 @section("A factor for a spectrum")
@@ -172,4 +196,15 @@ def spectra(sheet: Sheet) -> None:
     r = bt.match_spectrum(sphere, wanted)
     before = bt.eigenpairs(sphere, 12).values
     sheet.figures({"relative error of the spectrum": r.error, "before": float(np.abs(before[1:] / wanted[1:] - 1).max())})
-    sheet.picture(sphere, {"log w²": r.log_factor}, title="A sphere with an ellipsoid's spectrum", caption="Its factor.", size=(1600, 900))
+    span = float(np.abs(r.log_factor).max())
+    sheet.picture(
+        sphere,
+        {"log w²": r.log_factor},
+        views=["front", "right", "top", "bottom"],
+        limits=(-span, span),
+        colormap="balance",
+        contours=[k * span / 6 for k in range(-5, 6)],
+        title="A sphere with an ellipsoid's spectrum",
+        caption="Its factor: where it is high, the sphere has grown.",
+        size=(1600, 520),
+    )

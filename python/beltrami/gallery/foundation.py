@@ -41,13 +41,13 @@ def shapes(sheet: Sheet) -> None:
     sheet.table(("shape", "vertices", "triangles", "components", "Euler characteristic", "genus", "boundary loops", "closed"), rows)
     sheet.code(
         'spot = bt.load("spot.ply")\nprint(spot.report())\n'
-        'spot.plot(spot.data["colors"], views=["three-quarter back", "back"], path="spot.png")'
+        'spot.plot(spot.data["colors"], views={"three-quarter": "three-quarter back", "front": "back"}, path="spot.png")'
     )
     spot = named[0][1]
     sheet.picture(
         spot,
         spot.data["colors"],
-        views=["three-quarter back", "back", "left"],
+        views={"three-quarter": "three-quarter back", "front": "back", "left": "left"},
         title="Spot, with the colours of its vertices",
         caption="Spot (Keenan Crane, CC0): 2,930 vertices, closed, genus 0.",
         interactive=True,
@@ -56,7 +56,7 @@ def shapes(sheet: Sheet) -> None:
     sheet.picture(
         cortex,
         {"sulcal depth": cortex.data["depth"]},
-        views=["left", "right", "top"],
+        views={"lateral": "left", "medial": "right", "dorsal": "top"},
         up="z",
         contours=[0.0],
         title="Human cortex, left pial surface (fsaverage5)",

@@ -105,7 +105,7 @@ def collection(sheet: Sheet) -> None:
         labels=sorted(set(kinds)),
         title="The collection, laid out by its distances",
         caption="Classical multidimensional scaling of the distances; shapes that would hide one another are moved apart.",
-        size=(1600, 1000),
+        size=(1600, 680),
     )
     rows = [(names[i], names[j], float(d[i, j])) for i, j in enumerate(d.nearest()[:, 0])]
     sheet.table(("shape", "its nearest", "distance"), rows)

@@ -36,7 +36,7 @@ def cortex_regions(sheet: Sheet) -> None:
         sheet.picture(
             mesh,
             {"sulcal depth (range 1)": depth},
-            views=["left", "right"],
+            views={"lateral": "left", "medial": "right"},
             up="z",
             lines=r.contours,
             title=f"Fidelity {r.fidelity:g} ({word}): {len(r.contours)} contours of {r.contour_length:,.0f} mm in all",
@@ -49,7 +49,7 @@ def cortex_regions(sheet: Sheet) -> None:
     sheet.picture(
         mesh,
         three.labels,
-        views=["left", "right"],
+        views={"lateral": "left", "medial": "right"},
         up="z",
         lines=three.contours,
         labels=[f"{mean:.2f} mm" for mean in three.means[:, 0]],
@@ -87,7 +87,7 @@ def colours(sheet: Sheet) -> None:
         views=["three-quarter back"],
         lines=r.contours,
         title="Noise of a quarter of the range, taken off Spot's colours",
-        caption="Left to right: noisy colours, denoised, two regions; the curve is the regions' boundary.",
+        caption="Left to right: noisy colours, denoised, two regions; the curve is their common boundary.",
         size=(1600, 640),
     )
     # A picture made here: continents as level sets of a random smooth function, a known truth to be wrong about.
@@ -117,8 +117,9 @@ def colours(sheet: Sheet) -> None:
     sheet.picture(
         sphere,
         {"image": image, "segmentation": found.labels},
-        views=["front"],
+        views=[tuple(p[land].mean(axis=0))],
         lines=found.contours,
+        line_width=2.5,
         title="Land and sea under noise of 0.4 of the contrast",
         caption=f"A made-up planet. {len(found.contours)} coastlines of {found.contour_length:.1f} radii in all.",
         size=(1600, 760),

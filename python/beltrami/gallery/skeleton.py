@@ -48,24 +48,24 @@ def skeletons(sheet: Sheet) -> None:
         "graph = r.to_networkx()\nparts = r.limb_of_point                      # a segmentation into limbs"
     )
     for name, r in made.items():
-        flat = name.startswith(("figure", "star"))
+        flat = name.startswith(("figure", "knot", "star"))
         sheet.picture(
             r.shape,
             title=name[0].upper() + name[1:],
-            caption=f"{r.leaves} leaves, {r.cycles} cycles.",
+            caption=f"{r.leaves} leaves, {r.cycles} {'cycle' if r.cycles == 1 else 'cycles'}.",
             interactive=True,
             size=(1100, 800),
-            views="front" if flat else "three-quarter",
+            views="front" if flat else {"front": "three-quarter back", "left": "left"} if name == "spot" else "three-quarter",
             **r.drawn(),
         )
-    r = made["star"]
+    r = made["spot"]
     sheet.picture(
         r.shape,
         {"limb": r.limb_of_point},
         title="Each point belongs to a limb",
-        caption="The star by the nearest part of its skeleton along the graph.",
-        size=(1100, 800),
-        views="front",
+        caption="The parts that the skeleton's joints divide Spot into: head and neck, four legs, rump.",
+        size=(1100, 600),
+        views={"front": "three-quarter back", "back": "three-quarter"},
     )
 
 

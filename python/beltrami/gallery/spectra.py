@@ -112,10 +112,10 @@ def geodesic(sheet: Sheet) -> None:
     sheet.picture(
         spot,
         {"distance": bt.geodesic_distance(spot, nose)},
-        views=["three-quarter back", "left", "three-quarter"],
+        views={"front": "three-quarter back", "left": "left", "back": "three-quarter"},
         contours=24,
         points=[nose],
-        title="Distance from the muzzle of spot",
+        title="Distance from the muzzle of Spot",
         caption="Contour lines at equal distances.",
         interactive=True,
         size=(1600, 760),
@@ -123,7 +123,7 @@ def geodesic(sheet: Sheet) -> None:
     sheet.picture(
         cortex,
         {"distance, mm": away},
-        views=["left", "right"],
+        views={"lateral": "left", "medial": "right"},
         up="z",
         contours=24,
         points=[source],

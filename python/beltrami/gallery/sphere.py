@@ -46,10 +46,11 @@ def maps(sheet: Sheet) -> None:
     sheet.picture(
         fine,
         checkerboard(positions),
-        views=["left", "right", "top"],
+        views={"lateral": "left", "medial": "right", "dorsal": "top"},
         up="z",
         title="Squares of the sphere on the cortex",
-        caption="Left pial surface, lateral, medial and from above.",
+        caption="Left pial surface.",
+        description="A cortex under squares of two colours: large ones on the medial wall, small ones where it protrudes",
         interactive=True,
         **squares,
     )
@@ -58,7 +59,7 @@ def maps(sheet: Sheet) -> None:
     sheet.picture(
         r.sphere,
         {"sulcal depth": depth},
-        views=["left", "right", "top"],
+        views={"lateral": "left", "medial": "right", "dorsal": "top"},
         up="z",
         colormap="balance",
         limits=(-span, span),
@@ -71,7 +72,7 @@ def maps(sheet: Sheet) -> None:
     sheet.picture(
         cortex,
         {"angle error, degrees": at_vertices(r, np.degrees(r.angle_error))},
-        views=["left", "right", "top"],
+        views={"lateral": "left", "medial": "right", "dorsal": "top"},
         up="z",
         limits=(0.0, 8.0),
         title="How much the angles of the triangles change",
@@ -83,9 +84,10 @@ def maps(sheet: Sheet) -> None:
     sheet.picture(
         fine,
         checkerboard(positions),
-        views=["three-quarter back", "back", "left"],
-        title="Spot",
+        views={"three-quarter": "three-quarter back", "front": "back", "left": "left"},
+        title="Squares of the sphere on Spot",
         caption="Horns, ears and legs are tiny on the sphere, and still nothing is turned over.",
+        description="Spot, a cow, under squares of two colours: a few large ones on her head and legs, many small ones on neck and rump",
         interactive=True,
         **squares,
     )

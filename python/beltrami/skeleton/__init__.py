@@ -171,7 +171,8 @@ class SkeletonResult:
             options["points"] = self.nodes[special]
         if isinstance(self.shape, PointCloud):
             sample = self.shape.points[:: max(1, len(self.shape.points) // 500)]
-            options["radius"] = 0.2 * float(np.median(nearest_neighbors(self.shape.points, sample, 7)[1][:, -1]))
+            spacing = float(np.median(nearest_neighbors(self.shape.points, sample, 7)[1][:, -1]))
+            options |= {"radius": 0.1 * spacing, "transparency": 0.0, "line_width": 7.0}  # the curve is seen between the points
         return options
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:

@@ -348,6 +348,18 @@ def _geometry(shape: Any) -> _Geometry:
     return _Geometry(np.ascontiguousarray((points - centre) @ axes), faces, given, dimension == 2, note, centre, axes)
 
 
+def _named_views(views: View | Sequence[View] | Mapping[str, View] | None) -> list[tuple[str, View]]:
+    """Views with the names that they were given, or none."""
+    if not isinstance(views, Mapping):
+        return [("", view) for view in _views(views)]
+    if not views:
+        raise InputError("views is empty; name at least one")
+    for name in views:
+        if not isinstance(name, str):
+            raise InputError(f"views has the name {name!r}; a str is needed")
+    return [(name, _views(view)[0]) for name, view in views.items()]
+
+
 def _views(views: View | Sequence[View] | None) -> list[View]:
     """One view or several, as a list."""
     if views is None:
@@ -514,7 +526,7 @@ def plot(
     values: Any = None,
     *,
     path: str | os.PathLike[str] | None = None,
-    views: View | Sequence[View] | None = None,
+    views: View | Sequence[View] | Mapping[str, View] | None = None,
     up: Axis = "y",
     title: str | None = None,
     label: str | None = None,
@@ -554,9 +566,10 @@ def plot(
         choose). Where a number is not finite there is no data: grey, and the picture says how many.
     path : path, optional
         ``.png`` for a picture, ``.html`` for an interactive page in one file. Without it the picture is only returned.
-    views : view or list of views, optional
+    views : view, list of views, or mapping of names to views, optional
         From where: 'front', 'back', 'left', 'right', 'top', 'bottom', 'three-quarter', 'three-quarter right', 'three-quarter back';
-        (azimuth, elevation) in radians; or a direction (x, y, z) towards the eye. Several are painted side by side.
+        (azimuth, elevation) in radians; or a direction (x, y, z) towards the eye. Several are painted side by side,
+        with their names below: ``{"lateral": "left", "medial": "right"}`` gives them others.
     up : {'y', 'z', 'x'}
         Which axis of the shape points upwards.
     title, label : str, optional
@@ -632,8 +645,9 @@ def plot(
     counts = geometry.count, len(geometry.faces)
     look = {"colormap": colormap, "limits": limits, "contours": contours, "names": labels, "color": color}
     fields = [_field(numbers, str(name), *counts, **look) for name, numbers in given.items()]
-    chosen = _views(views)
-    cameras = [_camera(view, up, geometry.flat) for view in (chosen[:1] if geometry.flat else chosen)]
+    chosen = _named_views(views)
+    cameras = [_camera(view, up, geometry.flat) for _, view in (chosen[:1] if geometry.flat else chosen)]
+    cameras = [(axes, given or name) for (given, _), (axes, name) in zip(chosen, cameras, strict=False)]
     polylines, marks = _polylines(lines, geometry), _marks(points, geometry)
     line_colours = _each_colour(line_color, len(polylines), (0.82, 0.16, 0.20), "line_color")
     mark_colours = _each_colour(point_color, len(marks), (0.89, 0.34, 0.18), "point_color")
