@@ -314,12 +314,18 @@ def save_fields(shape: Any, fields: Mapping[str, Any], path: Path, *, values: Se
     return save_with(shape, {name: fields[name] for name in values}, path)
 
 
+def columns(values: Mapping[str, Any]) -> dict[str, npt.NDArray[Any]]:
+    """Each column of tables by itself, as ``name_0``, ``name_1`` ...; of an array with one column by its name."""
+    found: dict[str, npt.NDArray[Any]] = {}
+    for name, array in values.items():
+        rows = np.atleast_2d(array.T)
+        found |= {name if len(rows) == 1 else f"{name}_{at}": np.ascontiguousarray(row) for at, row in enumerate(rows)}
+    return found
+
+
 def save_with(shape: Any, values: Mapping[str, Any], path: Path) -> Path:
     """The shape with more values at its vertices; of tables each column by itself, as ``name_0``, ``name_1`` ..."""
-    data: dict[str, Any] = dict(shape.data)
-    for name, array in values.items():
-        columns = np.atleast_2d(array.T)
-        data |= {name if len(columns) == 1 else f"{name}_{at}": np.ascontiguousarray(column) for at, column in enumerate(columns)}
+    data = {**shape.data, **columns(values)}
     if isinstance(shape, PointCloud):
         save(PointCloud(shape.points, dimension=shape.dimension, normals=shape.normals, weights=shape.weights, data=data), path)
     else:

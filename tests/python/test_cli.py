@@ -8,7 +8,8 @@ import sys
 import beltrami as bt
 import numpy as np
 import pytest
-from beltrami.__main__ import COMMANDS, command, main
+from beltrami.__main__ import main
+from beltrami.commands import COMMANDS, command, load_commands
 
 
 def test_info_prints_the_topology(capsys):
@@ -176,7 +177,7 @@ def test_clouds_of_other_dimensions(tmp_path, capsys):
     assert np.allclose(values, [0, 1, 1, 4, 4], atol=0.01)
 
 
-@pytest.mark.parametrize("name", sorted(COMMANDS))
+@pytest.mark.parametrize("name", sorted(load_commands()))
 def test_every_command_explains_itself(name, capsys):
     assert main([name, "--help"]) == 0
     assert COMMANDS[name].summary[1:] in " ".join(capsys.readouterr().out.split())
