@@ -9,13 +9,14 @@ import numpy as np
 
 FOLDER = Path(__file__).resolve().parent / "images"
 FRONT = "three-quarter back"  # Spot looks along -z
+SIDES = {"front": FRONT, "back": "three-quarter"}
 
 
 def distance(path: Path) -> None:
     spot = bt.examples.spot()
     tail = int(spot.vertices[:, 2].argmax())
     values = bt.geodesic_distance(spot, tail)
-    bt.plot(spot, values, contours=20, points=[tail], label="distance", views=[FRONT, "three-quarter"], size=(940, 440), path=path)
+    bt.plot(spot, values, contours=20, points=[tail], label="distance", views=SIDES, size=(940, 440), path=path)
 
 
 def modes(path: Path) -> None:
@@ -52,7 +53,7 @@ def segmentation(path: Path) -> None:
 
 
 def spherical_map(path: Path) -> None:
-    bt.spherical_map(bt.examples.spot()).plot(views=[FRONT, "back", "left"], size=(1000, 400), path=path)
+    bt.spherical_map(bt.examples.spot()).plot(views={"three-quarter": FRONT, "front": "back", "left": "left"}, size=(1000, 400), path=path)
 
 
 def transport(path: Path) -> None:
@@ -66,7 +67,7 @@ def transport(path: Path) -> None:
 
 
 def skeleton(path: Path) -> None:
-    bt.skeleton(bt.shapes.knot()).plot(line_width=3.0, size=(700, 460), path=path)
+    bt.skeleton(bt.shapes.knot()).plot(views="front", line_width=3.0, size=(700, 460), path=path)
 
 
 def registration(path: Path) -> None:
