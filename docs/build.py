@@ -28,7 +28,9 @@ ORDER = (
 MODULES = ("shapes", "examples", "colors", "contours", "clouds", "intrinsic", "sliced", "conformal", "costs", "gallery")
 CURRENT = ' aria-current="page"'
 Groups = dict[str, list[tuple[str, str]]]  # heading: (file without suffix, title)
-INDEX = re.compile(r"\b([A-Za-zα-ω])_(\w{1,2})\b")  # m_i, A_T, L_ij
+INDEX = re.compile(r"(?<!\w)([A-Za-zα-ωΓΣΦΨ∂∫)])_(?:(\w{1,2})\b|\{([^}]+)\})")  # m_i, A_T, L_ij, P_{k+1}
+POWER = re.compile(r"(?<=[\w)²|])\^(?:(-?\d+(?:[./]\d+)?|[A-Za-zα-ω]+)|\(([^)]+)\))")  # n^1.2, s^T, λ^(-d/4)
+FORMULA = re.compile(r"<pre><code>(.*?)</code></pre>", re.S)  # an indented block; code stands in fences, which have a language
 SECTION = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}$", re.M)
 
 
@@ -56,9 +58,16 @@ def to_html(text: str) -> str:
     """HTML of Markdown; links to pages of the folder become links to their HTML."""
     body = markdown.markdown(text, extensions=["tables", "fenced_code", "toc", "sane_lists"])
     body = re.sub(r'href="(?!https?:)([\w/-]+)\.md(#[^"]*)?"', lambda m: f'href="{m[1]}.html{m[2] or ""}"', body)
+    body = FORMULA.sub(lambda found: f'<p class="formula">{"<br>".join(found[1].strip().splitlines())}</p>', body)
     pieces = re.split(r"(<pre>.*?</pre>|<code>.*?</code>|<[^>]+>)", body, flags=re.S)  # every other one is code or a tag
-    body = "".join(piece if at % 2 else INDEX.sub(r"\1<sub>\2</sub>", piece) for at, piece in enumerate(pieces))
+    body = "".join(piece if at % 2 else typeset(piece) for at, piece in enumerate(pieces))
     return body.replace("<table>", '<div class="scroll"><table>').replace("</table>", "</table></div>")
+
+
+def typeset(text: str) -> str:
+    """Indices and powers of formulas that are written as text."""
+    text = INDEX.sub(lambda found: f"{found[1]}<sub>{found[2] or found[3]}</sub>", text)
+    return POWER.sub(lambda found: f"<sup>{found[1] or found[2]}</sup>", text).replace("&lt;=", "≤").replace("&gt;=", "≥")
 
 
 def framed(title: str, body: str, here: str, groups: Groups) -> str:
