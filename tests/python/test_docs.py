@@ -55,6 +55,8 @@ def test_pages_of_methods_follow_one_pattern() -> None:
         text = page.read_text(encoding="utf-8")
         assert blocks(text, "python"), page.stem
         assert re.search(r"^(#+ |\*\*)(Limits|Cost and limits|What is refused)", text, re.M), f"{page.stem} does not say where it ends"
+        assert re.search(r"Cost\b", text), f"{page.stem} does not say what it costs"
+        assert re.search(r"[Cc]ertificate|What is certain|How far to trust it", text), f"{page.stem} certifies nothing"
         assert "\nSee also: [" in text, f"{page.stem} leads nowhere"
 
 
