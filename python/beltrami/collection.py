@@ -25,6 +25,7 @@ from .files import load, stored, written
 from .progress import Progress, reporter, teller
 from .register.eigenmaps import Eigenmap, align_eigenmaps, eigenmap, settle
 from .register.sides import prepare
+from .results import save_arrays, save_result
 from .shapes import PointCloud, Shape, TriangleMesh, no_shape
 from .threads import set_num_threads
 
@@ -149,17 +150,13 @@ class DistanceMatrix:
         FileError
             The file cannot be written.
         """
-        file = arrays.file(path, "path")
-        suffix = file.suffix.lower()
-        if suffix == ".png":
-            self.plot(path=file)
-            return file
-        if suffix == ".npz":
-            return written(file, lambda stream: np.savez_compressed(stream, distances=self.matrix, labels=np.array(self.labels)))
-        if suffix == ".csv":
-            table = {"fmt": "%.10g", "delimiter": ",", "header": ",".join(self.labels), "comments": "", "encoding": "utf-8"}
-            return written(file, lambda stream: np.savetxt(stream, self.matrix, **table))
-        raise InputError(f"{file}: distances are written to .npz, .csv or .png")
+        archive = {"distances": self.matrix, "labels": np.array(self.labels, str)}
+        kinds = {".npz": lambda file: save_arrays(file, archive), ".csv": self._save_table}
+        return save_result(self, path, "distances are", kinds, pictures=(".png",))
+
+    def _save_table(self, path: Path) -> Path:
+        table = {"fmt": "%.10g", "delimiter": ",", "header": ",".join(self.labels), "comments": "", "encoding": "utf-8"}
+        return written(path, lambda stream: np.savetxt(stream, self.matrix, **table))
 
     def plot(
         self,

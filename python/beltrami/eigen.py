@@ -14,9 +14,10 @@ import scipy
 from . import _core, arrays
 from .arrays import Floats
 from .errors import InputError
-from .files import save_fields, written
+from .files import written
 from .operators import Operators, operators
 from .progress import Progress, reporter
+from .results import save_result
 from .shapes import Shape
 from .view import Page, Picture, plot
 
@@ -97,18 +98,13 @@ class Eigenpairs:
         FileError
             The file cannot be written.
         """
-        file = arrays.file(path, "path")
-        suffix = file.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=file)
-            return file
-        if suffix == ".csv":
-            rows, look = np.column_stack([self.values, self.residuals]), {"header": "value,residual", "comments": "", "delimiter": ","}
-            return written(file, lambda stream: np.savetxt(stream, rows, fmt="%.17g", **look))
-        if suffix not in (".npz", ".ply") or (suffix == ".ply" and self.shape is None):
-            raise InputError(f"{file}: eigenpairs are written to .npz or .csv, those of a shape to .ply, .png or .html too")
-        names = ("functions", "values", "residuals")
-        return save_fields(self.shape, {name: getattr(self, name) for name in names}, file, values=names[:1])
+        if self.shape is None and arrays.file(path, "path").suffix.lower() not in (".npz", ".csv"):
+            raise InputError(f"{path}: eigenpairs are written to .npz or .csv, those of a shape to .ply, .png or .html too")
+        return save_result(self, path, "eigenpairs are", {".csv": self._save_values}, values=("functions",))
+
+    def _save_values(self, path: Path) -> Path:
+        rows, look = np.column_stack([self.values, self.residuals]), {"header": "value,residual", "comments": "", "delimiter": ","}
+        return written(path, lambda stream: np.savetxt(stream, rows, fmt="%.17g", **look))
 
 
 def eigenpairs(

@@ -6,7 +6,7 @@ import contextlib
 import gzip
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -296,22 +296,6 @@ def stored(path: Path) -> dict[str, npt.NDArray[Any]]:
     except Exception as error:  # numpy, zipfile and zlib each say it in their own way; a shape that lies asks for all memory
         said = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise FileError(f"{path} cannot be read: {said}") from None
-
-
-def save_fields(shape: Any, fields: Mapping[str, Any], path: Path, *, values: Sequence[str] = ()) -> Path:
-    """Arrays and numbers to ``.npz``; the shape with those named ``values``, which have a row a vertex, to ``.ply``.
-
-    Raises
-    ------
-    InputError
-        The suffix is neither.
-    FileError
-        The file cannot be written.
-    """
-    suffix = path.suffix.lower()
-    if suffix == ".npz":
-        return written(path, lambda stream: np.savez_compressed(stream, **fields))
-    return save_with(shape, {name: fields[name] for name in values}, path)
 
 
 def columns(values: Mapping[str, Any]) -> dict[str, npt.NDArray[Any]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import replace
 
 import beltrami as bt
 import numpy as np
@@ -449,16 +448,6 @@ def test_moving_a_map_tells_its_flips_once() -> None:
         still = still.moved(bt.Moebius.translation([0.1, 0.0, 0.0]))
         assert still.flipped == 1
         assert still.notes == ("kept", "1 triangle is still flipped: 7")
-
-
-def test_an_archive_holds_all_numbers_of_the_map(spot: bt.SphericalMapResult, tmp_path: Path) -> None:
-    assert spot.image_areas.shape == (len(spot.positions),)  # kept with the result once it was asked for, but no field of it
-    with np.load(spot.save(tmp_path / "map.npz")) as kept:
-        told = {one.name for one in fields(spot)} - {"shape", "history", "notes"} | {f"history_{name}" for name in spot.history}
-        assert set(kept.files) == told
-        for name in told:
-            expected = spot.history[name[8:]] if name.startswith("history_") else getattr(spot, name)
-            np.testing.assert_array_equal(kept[name], expected)
 
 
 def test_holes_are_filled_where_triangles_have_no_area():

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .. import arrays
 from ..arrays import Floats
 from ..errors import InputError
 from ..files import written
+from ..results import save_result
 from ..shapes import Shape
 from ..view import Page, Picture, plot
 from .surface import Indices
@@ -125,18 +125,9 @@ class ConformalRegistrationResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the point map to ``.csv`` (source, target, confidence), a picture to ``.png`` or ``.html``."""
-        path = arrays.file(path, "path")
-        suffix = path.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=path)
-        elif suffix == ".npz":
-            names = ("point_map", "inverse_map", "log_factor", "source_basis", "basis", "values", "landmarks", "confidence")
-            fields: dict[str, Any] = {name: getattr(self, name) for name in names}
-            written(path, lambda stream: np.savez_compressed(stream, **{**fields, **self.history}))
-        elif suffix == ".csv":
-            rows = np.column_stack([np.arange(len(self.point_map)), self.point_map, self.confidence])
-            table = {"fmt": ["%d", "%d", "%.6g"], "delimiter": ",", "header": "source,target,confidence", "comments": ""}
-            written(path, lambda stream: np.savetxt(stream, rows, **table))  # type: ignore[arg-type]
-        else:
-            raise InputError(f"{path}: a registration is written to .npz, .csv, .png or .html")
-        return path
+        return save_result(self, path, "a registration is", {".csv": self._save_map})
+
+    def _save_map(self, path: Path) -> Path:
+        rows = np.column_stack([np.arange(len(self.point_map)), self.point_map, self.confidence])
+        look = {"delimiter": ",", "header": "source,target,confidence", "comments": ""}
+        return written(path, lambda stream: np.savetxt(stream, rows, fmt=["%d", "%d", "%.6g"], **look))

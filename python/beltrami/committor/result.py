@@ -16,8 +16,9 @@ from .. import arrays
 from ..arrays import Floats
 from ..clouds import CloudOperators
 from ..errors import InputError
-from ..files import written
+from ..files import columns, written
 from ..near import nearest_neighbors
+from ..results import archived, save_arrays, save_result
 from ..shapes import Shape, TriangleMesh
 from ..view import Page, Picture, plot
 from .currents import follow, passage_time, reactive_current
@@ -248,30 +249,19 @@ class CommittorResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, a row a point to ``.csv``, or a picture to ``.png`` or ``.html``."""
-        file = arrays.file(path, "path")
-        suffix = file.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=file)
-            return file
-        if suffix not in (".npz", ".csv"):
-            raise InputError(f"{file}: a committor is written to .npz, .csv, .png or .html")
-        table = self.table()
-        if suffix == ".npz":
-            return written(file, lambda stream: np.savez_compressed(stream, **table, **self.scalars()))  # type: ignore[arg-type]
+        archive = {"points": self.shape.coordinates, **archived(self)}
+        kinds = {".npz": lambda file: save_arrays(file, archive), ".csv": self._save_points}
+        return save_result(self, path, "a committor is", kinds)
+
+    def _save_points(self, path: Path) -> Path:
+        table = columns(self.table())
         rows = np.column_stack([np.asarray(column, float) for column in table.values()])
-        names = [f"{name}_{k}" if array.ndim == 2 else name for name, array in table.items() for k in range(array[0].size)]
-        return written(file, lambda stream: np.savetxt(stream, rows, delimiter=",", header=",".join(names), comments="", fmt="%.17g"))
+        return written(path, lambda stream: np.savetxt(stream, rows, delimiter=",", header=",".join(table), comments="", fmt="%.17g"))
 
     def table(self) -> dict[str, npt.NDArray[Any]]:
         """The arrays with a row a point."""
         names = ("q", "q_backward", "current", "reactive_density", "potential", "in_A", "in_B")
         return {"points": self.shape.coordinates, **{name: getattr(self, name) for name in names}}
-
-    def scalars(self) -> dict[str, float]:
-        """The rates, and what certifies them."""
-        found = {"beta": self.beta, "rate": self.rate, "rate_flux": self.rate_flux, "rate_flux_error": self.rate_flux_error}
-        found |= {"rate_constant": self.rate_constant, "rate_constant_backward": self.rate_constant_backward, "share_A": self.share_A}
-        return found if self.rate_error is None else {**found, "rate_error": self.rate_error}
 
     def _spread(self, values: Floats) -> Floats:
         """Values at the nodes as values at the shape's points: the nearest one's where points were thinned out."""

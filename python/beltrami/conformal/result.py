@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -15,8 +15,8 @@ import numpy.typing as npt
 from .. import arrays
 from ..arrays import Floats, Ints
 from ..errors import InputError, NumericalError
-from ..files import save_fields
 from ..operators import operators
+from ..results import save_result
 from ..shapes import PointCloud, Shape, TriangleMesh
 from ..view import Page, Picture, plot
 from . import spherical
@@ -275,8 +275,8 @@ class SphericalMapResult:
         return spherical.fit_harmonics(self.positions, self.image_areas, given.reshape(len(given), -1), degree)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes all arrays and numbers of the map to ``.npz`` (the histories as ``history_move`` and ``history_excess``; neither the
-        shape nor the notes), the shape with positions on the sphere and factor to ``.ply``, a picture to ``.png`` or ``.html``.
+        """Writes everything but the shape to ``.npz`` (the histories as ``history_move`` and ``history_excess``), the shape with positions
+        on the sphere and factor to ``.ply``, a picture to ``.png`` or ``.html``.
 
         Raises
         ------
@@ -285,16 +285,7 @@ class SphericalMapResult:
         FileError
             The file cannot be written.
         """
-        file = arrays.file(path, "path")
-        suffix = file.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=file)
-            return file
-        if suffix not in (".npz", ".ply"):
-            raise InputError(f"{file}: a map to the sphere is written to .npz, .ply, .png or .html")
-        kept = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("shape", "history", "notes")}
-        kept |= {f"history_{name}": column for name, column in self.history.items()}
-        return save_fields(self.shape, kept, file, values=("positions", "conformal_factor"))
+        return save_result(self, path, "a map to the sphere is", values=("positions", "conformal_factor"))
 
     def plot(
         self,

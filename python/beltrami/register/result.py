@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from .. import arrays
 from ..arrays import Floats, Ints
 from ..errors import InputError
 from ..files import written
 from ..maps import transfer
+from ..results import save_result
 from ..shapes import PointCloud, Shape, TriangleMesh
 from ..view import Page, Picture, plot
 from .candidates import RegistrationCandidate
@@ -129,22 +129,11 @@ class RegistrationResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the point map to ``.csv`` (source, target), a picture to ``.png`` or ``.html``."""
-        path = arrays.file(path, "path")
-        suffix = path.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=path)
-        elif suffix == ".npz":
-            names = ("point_map", "inverse_map", "functional_map", "rotation", "distance", "coverage", "bijectivity", "orientation")
-            fields: dict[str, Any] = {name: getattr(self, name) for name in names}
-            if self.positions is not None:
-                fields["positions"] = self.positions
-            written(path, lambda stream: np.savez_compressed(stream, **fields))
-        elif suffix == ".csv":
-            rows = np.column_stack([np.arange(len(self.point_map)), self.point_map])
-            written(path, lambda stream: np.savetxt(stream, rows, fmt="%d", delimiter=",", header="source,target", comments=""))
-        else:
-            raise InputError(f"{path}: a registration is written to .npz, .csv, .png or .html")
-        return path
+        return save_result(self, path, "a registration is", {".csv": self._save_map})
+
+    def _save_map(self, path: Path) -> Path:
+        rows = np.column_stack([np.arange(len(self.point_map)), self.point_map])
+        return written(path, lambda stream: np.savetxt(stream, rows, fmt="%d", delimiter=",", header="source,target", comments=""))
 
 
 def twins(candidates: list[RegistrationCandidate]) -> str:

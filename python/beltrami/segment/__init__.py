@@ -17,9 +17,10 @@ from .. import _core, arrays
 from ..arrays import Floats, Ints, csr_in
 from ..clouds import CloudOperators
 from ..errors import InputError, NumericalError
-from ..files import save_with, written
+from ..files import written
 from ..operators import Operators, operators
 from ..progress import GapWatch, Progress
+from ..results import save_result
 from ..shapes import PointCloud, Shape, TriangleMesh
 from ..simplices import hat_gradients, simplices
 from ..solvers import Cholesky, plus_diagonal
@@ -253,20 +254,8 @@ class SegmentationResult:
         """Writes everything to ``.npz``; the shape with labels and memberships to ``.ply``; a picture to ``.png`` or ``.html``;
         the contours to ``.obj`` (lines), or to ``.csv`` (line, closed, coordinates). :meth:`save_contours` writes them to ``.ply``.
         """
-        path = arrays.file(path, "path")
-        suffix = path.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=path)
-        elif suffix in (".obj", ".csv"):
-            self.save_contours(path)
-        elif suffix == ".ply":
-            save_with(self.shape, {"labels": self.labels, "phi": self.phi}, path)
-        elif suffix == ".npz":
-            starts = np.cumsum([0, *(len(line) for line in self.contours)])
-            written(path, lambda stream: np.savez_compressed(stream, **_fields(self), contour_points=_stack(self), contour_starts=starts))
-        else:
-            raise InputError(f"{path}: a segmentation is written to .npz, .ply, .obj, .csv, .png or .html")
-        return path
+        kinds = {".obj": self.save_contours, ".csv": self.save_contours}
+        return save_result(self, path, "a segmentation is", kinds, values=("labels", "phi"))
 
     def save_contours(self, path: str | os.PathLike[str]) -> Path:
         """Writes the contours: ``.obj`` with lines, ``.ply`` with vertices and edges, ``.csv`` with a point a row."""
@@ -304,11 +293,6 @@ class SegmentationResult:
 
 def _stack(result: SegmentationResult) -> Floats:
     return np.concatenate([result.shape.coordinates[:0], *result.contours])
-
-
-def _fields(result: Any) -> dict[str, Any]:
-    kept = {name: value for name, value in vars(result).items() if name not in ("shape", "contours", "history")}
-    return {**kept, **{f"history_{name}": values for name, values in result.history.items()}}
 
 
 class _Segmenter:
@@ -812,17 +796,7 @@ class DenoisingResult:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the shape with the image to ``.ply``, a picture to ``.png`` or ``.html``."""
-        path = arrays.file(path, "path")
-        suffix = path.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=path)
-        elif suffix == ".ply":
-            save_with(self.shape, {"image": self.image.reshape(len(self.image), -1)}, path)
-        elif suffix == ".npz":
-            written(path, lambda stream: np.savez_compressed(stream, **_fields(self)))
-        else:
-            raise InputError(f"{path}: a denoised image is written to .npz, .ply, .png or .html")
-        return path
+        return save_result(self, path, "a denoised image is", values=("image",))
 
 
 def denoise(

@@ -19,6 +19,7 @@ from ..files import written
 from ..near import nearest_neighbors
 from ..operators import Operators, operators
 from ..progress import Progress, part, reporter
+from ..results import save_result
 from ..shapes import PointCloud, Shape, TriangleMesh, no_shape
 from ..view import Page, Picture
 from .centerline import Drawing, center, descended, draw, section_of
@@ -193,23 +194,14 @@ class SkeletonResult:
         FileError
             The file cannot be written.
         """
-        path = arrays.file(path, "path")
+        return save_result(self, path, "a skeleton is", {".swc": self._save_graph, ".obj": self._save_graph})
+
+    def _save_graph(self, path: Path) -> Path:
         suffix = path.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=path)
-            return path
-        if suffix not in (".swc", ".obj", ".npz"):
-            raise InputError(f"{path}: a skeleton is written to .swc, .obj, .npz, .png or .html")
-        if suffix != ".npz" and self.nodes.shape[1] != 3:
+        if self.nodes.shape[1] != 3:
             raise InputError(f"{path}: {suffix} holds points of R^3, these lie in R^{self.nodes.shape[1]}; write .npz")
-        if suffix != ".npz":
-            text = "\n".join(self._swc(path) if suffix == ".swc" else self._obj()) + "\n"
-            return written(path, lambda stream: stream.write(text.encode("ascii")))
-        names = ("nodes", "edges", "radii", "node_of_point", "limb_of_node", "components", "function")
-        fields: dict[str, Any] = {name: getattr(self, name) for name in names}
-        for name, lists in (("limb", self.limbs), ("contour", self.contours)):
-            fields |= {f"{name}s": np.concatenate(lists), f"{name}_starts": np.cumsum([0, *map(len, lists)])}
-        return written(path, lambda stream: np.savez_compressed(stream, **fields))
+        text = "\n".join(self._swc(path) if suffix == ".swc" else self._obj()) + "\n"
+        return written(path, lambda stream: stream.write(text.encode("ascii")))
 
     def _obj(self) -> list[str]:
         lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in self.nodes.tolist()]

@@ -16,9 +16,10 @@ from .. import arrays
 from ..arrays import Floats
 from ..costs import Lagrangian
 from ..errors import InputError
-from ..files import save_with, written
+from ..files import save_with
 from ..operators import Operators
 from ..progress import GapWatch, Progress
+from ..results import save_result
 from ..shapes import PointCloud, Shape
 from ..view import Page, Picture
 from . import continuity
@@ -242,21 +243,11 @@ class Flow:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes everything to ``.npz``, the shape with the densities of all times to ``.ply``, pictures to ``.png`` or ``.html``."""
-        path = arrays.file(path, "path")
-        suffix = path.suffix.lower()
-        if suffix in (".png", ".html"):
-            self.plot(path=path, **({"times": min(self.intervals + 1, 33)} if suffix == ".html" else {}))
-        elif suffix == ".ply":
-            save_with(self.shape, {"density": self.density.T}, path)
-        elif suffix == ".npz":
-            written(path, lambda stream: np.savez_compressed(stream, **self._fields()))
-        else:
-            raise InputError(f"{path}: a flow is written to .npz, .ply, .png or .html")
-        return path
-
-    def _fields(self) -> dict[str, Any]:
-        kept = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | float | int) and name != "velocity"}
-        return {**kept, **{f"history_{name}": column for name, column in self.history.items()}}
+        kinds = {
+            ".ply": lambda file: save_with(self.shape, {"density": self.density.T}, file),
+            ".html": lambda file: self.plot(path=file, times=min(self.intervals + 1, 33)),
+        }
+        return save_result(self, path, "a flow is", kinds, pictures=(".png",))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -15,9 +15,9 @@ from .. import arrays
 from ..arrays import Floats
 from ..costs import Lagrangian
 from ..errors import InputError
-from ..files import written
 from ..operators import Operators
 from ..progress import GapWatch, Progress
+from ..results import save_result
 from ..shapes import Shape
 from ..view import Page, Picture
 from . import DENSITY_COLOURS, balanced, density_in, options_in
@@ -75,16 +75,8 @@ class BarycenterResult:
         return plot(self.shape, {**fields, "barycenter": self.density}, path=path, **{"colormap": DENSITY_COLOURS, **options})
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes everything to ``.npz``, a picture to ``.png`` or ``.html``."""
-        path = arrays.file(path, "path")
-        if path.suffix.lower() in (".png", ".html"):
-            self.plot(path=path)
-        elif path.suffix.lower() == ".npz":
-            kept: dict[str, Any] = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray | float | int)}
-            written(path, lambda stream: np.savez_compressed(stream, **kept))
-        else:
-            raise InputError(f"{path}: a barycenter is written to .npz, .png or .html")
-        return path
+        """Writes everything to ``.npz``, the shape with the density to ``.ply``, a picture to ``.png`` or ``.html``."""
+        return save_result(self, path, "a barycenter is", values=("density",))
 
 
 class _Joint:
