@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export PROPTEST_RNG_SEED ?= 20
 SOURCES := $(shell find rust python/binding -name '*.rs') Cargo.toml Cargo.lock python/binding/Cargo.toml pyproject.toml
 
-.PHONY: help system build demo test check bars bench docs slow wheel clean
+.PHONY: help system build demo test check bars bench docs slow wheel wheels clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
 
@@ -70,6 +70,15 @@ bench: build ## times of the kernels, and side by side with other libraries wher
 wheel: build ## the wheel in dist/, tried in empty environments (PYTHONS="python3.10 python3.13" for others than this Python)
 	rm -rf dist && . $(BIN)/activate && maturin build --release --locked --out dist
 	$(BIN)/python python/try_wheel.py dist/*.whl $(PYTHONS)
+
+# zig, a Python package, links for every one of them
+CROSS := x86_64-unknown-linux-gnu aarch64-unknown-linux-gnu x86_64-unknown-linux-musl aarch64-unknown-linux-musl aarch64-apple-darwin
+wheels: build ## wheels of the platforms in CROSS, built on this one machine with zig, in dist/ (what a release runs is release.yml)
+	rustup target add $(CROSS)
+	$(BIN)/python -m pip install -q "maturin[zig]>=1.9,<2" abi3audit
+	rm -rf dist && . $(BIN)/activate && for target in $(CROSS); do \
+	  maturin build --release --locked --zig --target $$target --out dist || exit 1; done
+	for wheel in dist/*; do $(BIN)/abi3audit --strict $$wheel || exit 1; done
 
 slow: build ## the sweeps that take minutes, from new seeds in every run
 	PROPTEST_CASES=100000 PROPTEST_RNG_SEED=$$(date +%s) cargo test --release --quiet --test io --test hostile

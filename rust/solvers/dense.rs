@@ -28,14 +28,14 @@ impl From<Error> for Refused {
     }
 }
 
-/// Runs plain loops compiled for this machine; `true` if it has fused multiply-add.
+/// Runs plain loops compiled for this machine, fused multiply-add where it has that: every aarch64 does, of x86 the newer ones.
 #[inline(always)]
 pub(crate) fn vectorized<R>(work: impl Loops<R>) -> R {
     #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
     if let Some(simd) = pulp::x86::V3::try_new() {
         return simd.vectorize(Fused(work, std::marker::PhantomData));
     }
-    work.run::<false>()
+    work.run::<{ cfg!(target_arch = "aarch64") }>()
 }
 
 /// Loops that are compiled with and without fused multiply-add.
@@ -44,8 +44,10 @@ pub(crate) trait Loops<R> {
     fn run<const FUSED: bool>(self) -> R;
 }
 
+#[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
 struct Fused<R, L: Loops<R>>(L, std::marker::PhantomData<R>);
 
+#[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
 impl<R, L: Loops<R>> pulp::NullaryFnOnce for Fused<R, L> {
     type Output = R;
     #[inline(always)]
