@@ -58,7 +58,8 @@ def points(value: Any, name: str, least: int = 1) -> Floats:
     if array.size == 0 and array.ndim < 2:
         return np.zeros((0, 3))
     if array.ndim != 2 or array.shape[1] < least:
-        raise InputError(f"{name} has shape {array.shape}, (n, D) with D >= {least} is needed")
+        remedy = f"; of one point write [{name}]" if array.ndim == 1 else ""
+        raise InputError(f"{name} has shape {array.shape}, (n, D) with D >= {least} is needed{remedy}")
     return floats(array, name, (None, None), finite=False)
 
 
@@ -87,9 +88,12 @@ def triangles(value: Any, name: str, count: int) -> Ints:
         wrong |= array != np.floor(array)
     if wrong.any():
         face, corner = np.argwhere(wrong)[0]
-        raise InputError(
-            f"face {face} refers to vertex {array[face, corner]}, the mesh has {count} vertices (numbers are whole and start at 0)"
-        )
+        remedy = "numbers are whole and start at 0"
+        if array.min() == 1 and array.max() == count:
+            remedy += "; these start at 1: subtract 1"
+        elif count <= 3:
+            remedy += "; are the vertices transposed? They are (n, D)"
+        raise InputError(f"face {face} refers to vertex {array[face, corner]}, the mesh has {count} vertices ({remedy})")
     return np.require(array, np.int32, ["C", "A"])
 
 

@@ -269,3 +269,13 @@ def test_meshes_clouds_and_operators_call_their_places_alike():
         assert shape.coordinates is (shape.vertices if isinstance(shape, bt.TriangleMesh) else shape.points)
         assert bt.operators(shape).coordinates is shape.coordinates
         assert shape.intrinsic_dimension == dimension
+
+
+def test_usual_slips_are_named():
+    ball = bt.shapes.sphere(2)
+    with pytest.raises(bt.InputError, match=r"these start at 1: subtract 1"):
+        bt.TriangleMesh(ball.vertices, ball.faces + 1)
+    with pytest.raises(bt.InputError, match=r"the mesh has 3 vertices .*transposed"):
+        bt.TriangleMesh(ball.vertices.T, ball.faces)
+    with pytest.raises(bt.InputError, match=r"queries has shape \(3,\).*of one point write \[queries\]"):
+        bt.closest_points(ball, [0.0, 0.0, 0.0])

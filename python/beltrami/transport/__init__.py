@@ -261,7 +261,8 @@ class TransportResult(Flow):
     cost : float
         ``½ W2²``: the kinetic energy of the path handed out, ``1 / intervals Σ_k Σ_T A_T |M|² / (2 ρ)``.
     distance : float
-        W2, the root of twice the cost.
+        W2, the root of twice the cost, between measures of the mass that the densities have: it grows with the root of that mass.
+        For the distance of probability distributions give densities of unit mass, ``density / (ops.mass @ density)``.
     """
 
     cost: float
@@ -366,7 +367,7 @@ def transport(
     intervals : int
         Of time. 16 to 32 are usual; the discretization's error falls with their number and with the mesh.
     normalize : bool
-        Rescale ``density1`` to the mass of ``density0``.
+        Rescale ``density1`` to the mass of ``density0``, which stays what it is.
     method : {"primal_dual", "projected_gradient"}
         The splitting with the exact projection of the perspective function [3]_, which tolerates densities that vanish; or the
         chapter's Algorithm 2 with acceleration [2]_, for densities bounded away from zero.
