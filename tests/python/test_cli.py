@@ -338,3 +338,21 @@ def test_segment_without_a_fidelity_leaves_no_region_empty(tmp_path, capsys):
         assert len(np.unique(found["labels"])) == 2
     assert main([*call, "--fidelity", "0.1"]) == 0  # what was asked for is kept, and said
     assert "is empty" in capsys.readouterr().out
+
+
+def test_committor_takes_its_arrays_from_files_of_their_own(tmp_path, capsys):
+    x = np.random.default_rng(0).uniform([-1.6, -1.0], [1.6, 1.0], (900, 2))
+    energy, a, b = (x[:, 0] ** 2 - 1) ** 2 + x[:, 1] ** 2 / 2, x[:, 0] < -0.9, x[:, 0] > 0.9
+    np.save(tmp_path / "x.npy", x)
+    np.savetxt(tmp_path / "x.xyz", x, fmt="%.17g")
+    np.savetxt(tmp_path / "U.txt", energy, fmt="%.17g")
+    np.savetxt(tmp_path / "A.txt", np.flatnonzero(a), fmt="%d")  # numbers of points
+    np.save(tmp_path / "B.npy", b)  # a mask
+    exact = bt.committor(bt.PointCloud(x), energy, a, b, beta=4.0)
+    rest = ["--beta", "4", "--potential", str(tmp_path / "U.txt"), "--A", str(tmp_path / "A.txt"), "--B", str(tmp_path / "B.npy")]
+    for points in ("x.npy", "x.xyz"):
+        assert main(["committor", str(tmp_path / points), *rest, "-o", str(tmp_path / "q.npz")]) == 0
+        with np.load(tmp_path / "q.npz") as found:
+            assert np.allclose(found["q"], exact.q, atol=1e-9)
+    assert main(["committor", str(tmp_path / "x.npy"), "--beta", "4", "--A", "nowhere", "-o", str(tmp_path / "q.npz")]) == 2
+    assert "no such array or file" in capsys.readouterr().err

@@ -19,12 +19,18 @@ from . import DONE, Options, check_outputs, cloud_options, command, look_options
 
 
 def _committor_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", help="points (n, D): an .npz with points, potential, A, B, weights; a .csv with such columns; or a shape")
+    parser.add_argument(
+        "file", help="points (n, D): an .npz with points, potential, A, B, weights; a .csv with such columns; an .npy; or a shape"
+    )
     look_options(parser)
     output_files(parser)
     parser.add_argument("--beta", type=float, required=True, help="inverse temperature")
-    parser.add_argument("--potential", default="potential", help="the array, column or field with the potential (potential)")
-    parser.add_argument("--A", default="A", help="array, column or field that is not 0 in A; or ball:x,y,...,radius (A)")
+    parser.add_argument(
+        "--potential", default="potential", help="the array, column or field with the potential, or a file of its own (potential)"
+    )
+    parser.add_argument(
+        "--A", default="A", help="array, column, field or file that is not 0 in A, or holds its numbers; or ball:x,y,...,radius (A)"
+    )
     parser.add_argument("--B", default="B", help="the same for B (B)")
     parser.add_argument(
         "--sampling", choices=("any", "gibbs", "weighted"), default="any", help="what is known of U: its values, or samples"
@@ -42,6 +48,8 @@ def _samples(options: Options) -> tuple[Any, dict[str, npt.NDArray[Any]]]:
     """A shape, and the named arrays that came with it."""
     path = Path(options.file)
     suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return bt.PointCloud(bt.load_values(path), dimension=options.dimension), {}
     if suffix not in (".npz", ".csv"):
         shape = read(options, options.file)
         return shape, dict(shape.data)
@@ -71,6 +79,15 @@ def _samples(options: Options) -> tuple[Any, dict[str, npt.NDArray[Any]]]:
     return bt.PointCloud(points, dimension=options.dimension, weights=weights, data=data), {**fields, **data}
 
 
+def _values(spec: str, name: str, fields: Mapping[str, npt.NDArray[Any]], missing: str = "no such array or file") -> npt.NDArray[Any]:
+    """An array that came with the points, or that is a file of its own."""
+    if spec in fields:
+        return np.asarray(fields[spec])
+    if Path(spec).is_file():
+        return bt.load_values(spec)
+    raise InputError(f"--{name} {spec}: {missing}; the points came with {', '.join(fields) or 'none'}")
+
+
 def _set(spec: str, name: str, fields: Mapping[str, npt.NDArray[Any]], count: int) -> Any:
     if spec.startswith("ball:"):
         try:
@@ -84,9 +101,9 @@ def _set(spec: str, name: str, fields: Mapping[str, npt.NDArray[Any]], count: in
             return np.linalg.norm(points - np.array(centre), axis=1) - radius
 
         return level
-    if spec not in fields:
-        raise InputError(f"--{name} {spec}: no such array, and no ball:...; the file has {', '.join(fields) or 'none'}")
-    values = np.asarray(fields[spec])
+    values = _values(spec, name, fields, "no such array or file, and no ball:...")
+    if values.dtype.kind == "f" and np.isfinite(values).all() and (values == np.floor(values)).all():
+        values = values.astype(np.int64)  # numbers of points, from text
     return values != 0 if len(values) == count and values.dtype.kind != "b" and np.isin(values, (0, 1)).all() else values
 
 
@@ -97,11 +114,7 @@ def committor(options: Options) -> int:
     if options.deduplicate:
         raise InputError("--deduplicate would leave the arrays behind; take copies out of the file")
     points, look = shape.coordinates, looks_of(options)
-    potential = None
-    if options.sampling == "any":
-        if options.potential not in fields:
-            raise InputError(f"--potential {options.potential}: the file has {', '.join(fields) or 'no such array'}")
-        potential = fields[options.potential]
+    potential = _values(options.potential, "potential", fields) if options.sampling == "any" else None
     r = bt.committor(
         operators_of(shape), potential, _set(options.A, "A", fields, len(points)), _set(options.B, "B", fields, len(points)),
         beta=options.beta, sampling=options.sampling, sample_beta=options.sample_beta, method=options.method, refine=options.refine,
