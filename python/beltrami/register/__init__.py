@@ -9,19 +9,21 @@ candidates, from what eigenfunctions' products tell, refines each, and lets the 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from .. import _core, arrays
-from ..arrays import Floats
+from ..arrays import Floats, Ints
 from ..errors import InputError
 from ..maps import coverage
 from ..operators import Operators
 from ..progress import Progress, part, reporter, teller
 from ..shapes import PointCloud, Shape
-from .candidates import RegistrationCandidate, beam, distinct, grown, judge, listed, point_maps, products_of, with_constant
+from .candidates import Products, RegistrationCandidate, beam, distinct, grown, judge, listed, point_maps, products_of, with_constant
 from .deformation import Rigid, low_passed, polish_map
 from .eigenmaps import align_eigenmaps, eigenmap, settle
 from .result import RegistrationResult, twins
@@ -38,30 +40,93 @@ _LEADS = (
 )  # powers of the frequency in both products, and the weight of the oriented one
 
 
-def match(
-    source: Side,
-    target: Side,
-    *,
-    method: str = "auto",
-    polish: bool = True,
-    most: int = 8,
-    rng: np.random.Generator | None = None,
-    report: Any = None,
-) -> RegistrationResult:
-    """:func:`register` for two prepared sides."""
-    seed = int(arrays.generator(rng).integers(2**31))
-    told = teller(report)
+@dataclass
+class _Found:
+    """What one of the two ways hands on: the matrix between the eigenfunctions, the point maps both ways, and how it came to them."""
+
+    matrix: Floats
+    forward: Ints
+    backward: Ints
+    positions: Floats | None
+    candidates: list[RegistrationCandidate]
+    history: dict[str, Floats]
+    notes: list[str]
+
+
+def _by_sliced_wasserstein(source: Side, target: Side, products: Products, seed: int, told: Callable[[float], None]) -> _Found:
+    """The chapter's way: rotation-invariant sliced Wasserstein between the eigenmaps, coarse to fine; then nearest rows."""
     modes = min(source.modes, target.modes)
+    levels = [level for level in (5, 8, 12, 16, 20, 25, 30) if level <= modes] or [modes]
+    coarse, fine = ([eigenmap(side, count, levels[-1]) for side in (source, target)] for count in (300, SAMPLES))
+    runs, distances = align_eigenmaps(coarse[0], coarse[1], levels, seed, finest=(fine[0], fine[1]))
+    told(0.8)
+    maps = np.array([run.rotation for run in runs])
+    n = min(maps.shape[1], len(products.linear))
+    _, scores = products.ascend(maps[:, :n, :n], (0.25, 0.5), 1.0, 0)
+    candidates = listed(maps, np.array([run.value for run in runs]), scores, source, target)
+    mirrored = candidates[0].energy > runs[0].value
+    matrix = candidates[0].functional_map[1:, 1:]
+    forward, backward = point_maps(matrix, source, target, 0.0)
+    history = {"levels": np.array(levels, float), "distance": np.array(distances)}
+    notes = ["a mirror image has the smaller distance; orientation decided"] if mirrored else []
+    return _Found(matrix, forward, backward, None, candidates, history, notes)
+
+
+def _by_triple_products(
+    source: Side, target: Side, products: Products, seed: int, rigid: Rigid | None, polish: bool, most: int, told: Callable[[float], None]
+) -> _Found:
+    """Candidates by a beam search, upsampled; the least energy of deforming the source decides; upsampled further, and polished."""
+    modes, oriented = min(source.modes, target.modes), source.faces is not None and target.faces is not None
     top = min(_TOP, modes)
+
+    def upto(*levels: int) -> list[int]:
+        return [level for level in levels if level <= modes]
+
+    leads = _LEADS if oriented else [(powers, 0.0) for powers, weight in _LEADS if weight == 1.0]
+    found = [beam(products, top, powers, weight, 32, 8) for powers, weight in leads]
+    if not oriented:  # half of what tells maps apart is missing: the chapter's iteration finds others
+        coarse = [eigenmap(side, 300, top) for side in (source, target)]
+        runs, _ = align_eigenmaps(coarse[0], coarse[1], [*(level for level in (5, 10) if level < top), top], seed)
+        found.append(np.array([run.rotation for run in runs]))
+    maps = np.concatenate(found)
+    maps = maps[distinct(maps, -np.arange(len(maps), dtype=float), len(maps), 0.98, len(maps))]
+    told(0.3)
+    maps = grown(maps, upto(24, 30), source, target, 0.3, SAMPLES // 2)
+    _, scores = products.ascend(maps, (0.25, 0.5), 1.0, 0)
+    maps = maps[distinct(maps, scores.sum(1), most, 0.95, len(maps))]
+    told(0.4)
+    maps = grown(maps, upto(36, 42, 48, 54, 60), source, target, 0.3)
+    maps = maps[distinct(maps, -np.arange(len(maps), dtype=float), most, 0.95, len(maps))]
+    candidates = judge(maps, products, source, target, rigid)
+    told(0.6)
+    matrix = grown(candidates[0].functional_map[None, 1:, 1:], upto(80, 100, 120), source, target, 0.6)[0]
+    n = len(matrix)
+    sides = [side.spectral(n, 0.6) for side in (source, target)]
+    forward, backward = point_maps(matrix, source, target, 0.6)
+    matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
+    told(0.7)
+    positions = None
+    if rigid is not None and polish:
+        forward, backward, positions = polish_map(low_passed(matrix, source, target), source, target, rigid)
+        matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
+    else:
+        forward, backward = point_maps(matrix, source, target, 0.6)
+    levels = [*range(min(4, top), top + 1), *upto(24, 30, 36, 42, 48, 54, 60, 80, 100, 120)]
+    return _Found(matrix, forward, backward, positions, candidates, {"levels": np.array(levels, float)}, [])
+
+
+def match(source: Side, target: Side, *, method: str, polish: bool, most: int, rng: np.random.Generator, report: Any) -> RegistrationResult:
+    """:func:`register` for two prepared sides."""
+    seed = int(rng.integers(2**31))
+    told = teller(report)
     oriented = source.faces is not None and target.faces is not None
     extrinsic = source.embedded and target.embedded and method == "auto"
-    notes: list[str] = []
-    history: dict[str, Floats] = {}
     if extrinsic:
         source, target = with_curvature(source, oriented), with_curvature(target, oriented)
     products = products_of(source, target)
     if not oriented:
         products.source[1][:], products.target[1][:] = 0.0, 0.0
+    notes: list[str] = []
     for side, name in ((source, "source"), (target, "target")):
         loose = int((side.mass == 0).sum())
         if loose:
@@ -69,80 +134,33 @@ def match(
         if isinstance(side.shape, PointCloud) and oriented:
             notes.append(f"left and right of the {name} are those of the closed surface through its points")
     told(0.05)
-
-    def upto(*levels: int) -> list[int]:
-        return [level for level in levels if level <= modes]
-
     if method == "rswd":
-        levels = [level for level in (5, 8, 12, 16, 20, 25, 30) if level <= modes] or [modes]
-        coarse, fine = ([eigenmap(side, count, levels[-1]) for side in (source, target)] for count in (300, SAMPLES))
-        runs, distances = align_eigenmaps(coarse[0], coarse[1], levels, seed, finest=(fine[0], fine[1]))
-        history["levels"], history["distance"] = np.array(levels, float), np.array(distances)
-        told(0.8)
-        maps = np.array([run.rotation for run in runs])
-        n = min(maps.shape[1], len(products.linear))
-        _, scores = products.ascend(maps[:, :n, :n], (0.25, 0.5), 1.0, 0)
-        candidates = listed(maps, np.array([run.value for run in runs]), scores, source, target)
-        if candidates[0].energy > runs[0].value:
-            notes.append("a mirror image has the smaller distance; orientation decided")
-        matrix = candidates[0].functional_map[1:, 1:]
-        forward, backward = point_maps(matrix, source, target, 0.0)
-        positions = None
+        found = _by_sliced_wasserstein(source, target, products, seed, told)
     else:
-        leads = _LEADS if oriented else [(powers, 0.0) for powers, weight in _LEADS if weight == 1.0]
-        found = [beam(products, top, powers, weight, 32, 8) for powers, weight in leads]
-        if not oriented:  # half of what tells maps apart is missing: the chapter's iteration finds others
-            coarse = [eigenmap(side, 300, top) for side in (source, target)]
-            runs, _ = align_eigenmaps(coarse[0], coarse[1], [*(level for level in (5, 10) if level < top), top], seed)
-            found.append(np.array([run.rotation for run in runs]))
-        maps = np.concatenate(found)
-        maps = maps[distinct(maps, -np.arange(len(maps), dtype=float), len(maps), 0.98, len(maps))]
-        told(0.3)
-        maps = grown(maps, upto(24, 30), source, target, 0.3, SAMPLES // 2)
-        n = maps.shape[1]
-        _, scores = products.ascend(maps, (0.25, 0.5), 1.0, 0)
-        maps = maps[distinct(maps, scores.sum(1), most, 0.95, len(maps))]
-        told(0.4)
-        maps = grown(maps, upto(36, 42, 48, 54, 60), source, target, 0.3)
-        maps = maps[distinct(maps, -np.arange(len(maps), dtype=float), most, 0.95, len(maps))]
-        rigid = Rigid(source) if extrinsic else None
-        candidates = judge(maps, products, source, target, rigid)
-        told(0.6)
-        matrix = grown(candidates[0].functional_map[None, 1:, 1:], upto(80, 100, 120), source, target, 0.6)[0]
-        n = len(matrix)
-        history["levels"] = np.array([*range(min(4, top), top + 1), *upto(24, 30, 36, 42, 48, 54, 60, 80, 100, 120)], float)
-        sides = [side.spectral(n, 0.6) for side in (source, target)]
-        forward, backward = point_maps(matrix, source, target, 0.6)
-        matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
-        told(0.7)
-        positions = None
-        if rigid is not None and polish:
-            forward, backward, positions = polish_map(low_passed(matrix, source, target), source, target, rigid)
-            matrix = _core.orthogonal_functional_map(forward, backward, n, *sides)
-        else:
-            forward, backward = point_maps(matrix, source, target, 0.6)
+        found = _by_triple_products(source, target, products, seed, Rigid(source) if extrinsic else None, polish, most, told)
+    notes += found.notes
     told(0.95)
-    n = min(30, modes)
-    start = _core.polar(np.ascontiguousarray(matrix[:n, :n]))
+    n = min(30, source.modes, target.modes)
+    start = _core.polar(np.ascontiguousarray(found.matrix[:n, :n]))
     rotation, distance = settle(eigenmap(source, SAMPLES, n), eigenmap(target, SAMPLES, n), start, seed)
     if not oriented:
         how = "rest on the energies of the deformations alone" if extrinsic else "cannot be told apart"
-        notes.append(f"no orientation: left and right {how}{twins(candidates)}")
-    moved = source.positions[backward[forward]] - source.positions
+        notes.append(f"no orientation: left and right {how}{twins(found.candidates)}")
+    moved = source.positions[found.backward[found.forward]] - source.positions
     result = RegistrationResult(
-        point_map=forward,
-        inverse_map=backward,
-        functional_map=with_constant(matrix),
+        point_map=found.forward,
+        inverse_map=found.backward,
+        functional_map=with_constant(found.matrix),
         rotation=rotation,
         distance=distance,
-        candidates=tuple(candidates),
-        coverage=coverage(forward, target.mass),
+        candidates=tuple(found.candidates),
+        coverage=coverage(found.forward, target.mass),
         bijectivity=float(source.mass @ np.linalg.norm(moved, axis=1)),
-        orientation=candidates[0].orientation,
+        orientation=found.candidates[0].orientation,
         mirror_decided=oriented,
         extrinsic=extrinsic,
-        positions=None if positions is None else positions * target.unit + target.centre,
-        history=history,
+        positions=None if found.positions is None else found.positions * target.unit + target.centre,
+        history=found.history,
         notes=tuple(notes),
         source=source.shape,
         target=target.shape,
