@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import beltrami as bt
 import numpy as np
@@ -172,6 +173,35 @@ def test_features_do_not_know_moebius_maps(seed: int, length: float) -> None:
     # Chords of 0.05 carry rounding of 1e-15 of the sphere; the translation squeezes by up to (1 + 0.8) / (1 - 0.8) = 9.
     assert np.abs(first - second)[others].max() < 1e-10
     assert limbs.misfit(a, b, marks) < 1e-12
+
+
+def persistent_minima(scale: np.ndarray, mass: np.ndarray, graph: Any) -> list[int]:
+    """By the definition: the sublevel sets grow vertex by vertex, and where several parts meet all but the one of the least minimum end."""
+    parts: dict[int, list[int]] = {}
+    found = []
+    order = np.argsort(scale, kind="stable")
+    for v in order.tolist():
+        around = [lowest for lowest, part in parts.items() if set(part) & set(graph.indices[graph.indptr[v] : graph.indptr[v + 1]])]
+        first, *others = sorted(around, key=lambda lowest: (scale[lowest], lowest)) or [v]
+        for other in others:
+            if scale[v] - scale[other] > limbs.PROTRUDES and mass[parts[other]].sum() > limbs.LEAST_LIMB:
+                found.append((scale[other] - scale[v], other))
+            parts[first] = parts.get(first, []) + parts.pop(other)
+        parts.setdefault(first, []).append(v)
+    deepest = [(scale.min() - scale.max(), int(order[0]))] if np.ptp(scale) > limbs.PROTRUDES else []
+    return [v for _, v in sorted([*found, *deepest])]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([0.5, 1.0, 3.0]), st.booleans())
+def test_tips_are_the_persistent_minima(seed: int, size: float, ties: bool) -> None:
+    mesh = bt.shapes.sphere(2)
+    surface, rng = Surface(bt.operators(mesh)), np.random.default_rng(seed)
+    scale = size * (rng.normal(size=(5, 3)) @ mesh.vertices.T).max(0) + 0.3 * size * rng.normal(size=len(mesh.vertices))
+    if ties:
+        scale = np.round(2 * scale) / 2
+    sphered = limbs.Sphered(surface, mesh.vertices, scale, mesh.vertices[:, 0] + 0j, mesh.vertices[:, 1] + 0j)
+    assert sphered.tips == persistent_minima(scale, surface.mass, surface.stiffness)
 
 
 def test_sizes_and_places_do_not_matter(spot: bt.TriangleMesh) -> None:

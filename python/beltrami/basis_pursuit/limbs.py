@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from ..arrays import Floats
 from ..conformal import SphericalMapResult
@@ -31,6 +32,31 @@ SAME_PLACE = 0.6  # distance of features below which two tips cannot be told apa
 CLEAR = 0.6  # a pair of tips must be nearer by this factor than any other choice
 CLOSE = 0.15  # the same: up to here a pair of tips must fit better
 NEAR_LANDMARK = 0.06  # share of sqrt(area): a tip nearer than this to a landmark says nothing new
+
+
+def _basins(graph: scipy.sparse.csr_array, rank: Indices) -> tuple[Indices, list[tuple[int, set[int]]]]:
+    """The minimum to which the steepest way down leads from each vertex; and, in ascending order, the vertices at which basins meet for the
+    first time, with the minima of these."""
+    rows = np.repeat(np.arange(len(rank)), np.diff(graph.indptr))
+    lowest = rank.copy()
+    np.minimum.at(lowest, rows, rank[graph.indices])
+    order = np.argsort(rank)
+    basin: Indices = order[lowest]
+    while True:
+        further = basin[basin]
+        if (further == basin).all():
+            break
+        basin = further
+    n, down = len(rank), rank[graph.indices] < rank[rows]
+    keys = np.unique(rank[rows[down]] * n + basin[graph.indices[down]])  # a vertex by its rank, a basin that it touches
+    vertex, touched = keys // n, keys % n
+    again = np.flatnonzero(vertex[1:] == vertex[:-1])
+    one, other = np.minimum(touched[again], touched[again + 1]), np.maximum(touched[again], touched[again + 1])
+    first = np.sort(np.unique(one * n + other, return_index=True)[1])  # later meetings of the same two change nothing
+    meeting: dict[int, set[int]] = {}
+    for at, *pair in zip(vertex[again[first]].tolist(), one[first].tolist(), other[first].tolist(), strict=True):
+        meeting.setdefault(at, set()).update(pair)
+    return basin, [(int(order[at]), basins) for at, basins in meeting.items()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +93,13 @@ class Sphered:
     @cached_property
     def tips(self) -> list[int]:
         """Ends of all that protrudes, deepest first: minima of the map's scale, by persistence."""
-        graph, scale, mass = self.surface.stiffness, self.log_scale, self.surface.mass
-        n = len(scale)
-        starts, neighbours, height = graph.indptr.tolist(), graph.indices.tolist(), scale.tolist()
-        parent = [-1] * n
-        weight = mass.tolist()
+        scale = self.log_scale
+        rank = np.empty(len(scale), np.int64)
+        rank[np.argsort(scale, kind="stable")] = np.arange(len(scale))
+        basin, meeting = _basins(self.surface.stiffness, rank)
         found: list[tuple[float, int]] = []
+        parent = {root: root for root in np.unique(basin).tolist()}
+        joined = {root: [root] for root in parent}  # basins that have come together
 
         def root(i: int) -> int:
             while parent[i] != i:
@@ -80,23 +107,19 @@ class Sphered:
                 i = parent[i]
             return i
 
-        order = np.argsort(scale, kind="stable").tolist()
-        for v in order:
-            around = {root(u) for u in neighbours[starts[v] : starts[v + 1]] if u != v and parent[u] >= 0}
-            parent[v] = v
-            if not around:
-                continue
-            first, *others = sorted(around, key=lambda r: (height[r], r))
-            parent[v] = first
-            weight[first] += weight[v]
+        for v, basins in meeting:
+            first, *others = sorted({root(i) for i in basins}, key=lambda i: int(rank[i]))
             for other in others:
-                depth = height[v] - height[other]
-                if depth > PROTRUDES and weight[other] > LEAST_LIMB:
-                    found.append((-depth, other))
+                depth = float(scale[v] - scale[other])
+                if depth > PROTRUDES:
+                    below = np.isin(basin, joined[other]) & (rank < rank[v])
+                    if self.surface.mass[below].sum() > LEAST_LIMB:
+                        found.append((-depth, other))
                 parent[other] = first
-                weight[first] += weight[other]
-        if height[order[-1]] - height[order[0]] > PROTRUDES:
-            found.append((height[order[0]] - height[order[-1]], order[0]))
+                joined[first] += joined.pop(other)
+        lowest, highest = int(rank.argmin()), int(rank.argmax())
+        if scale[highest] - scale[lowest] > PROTRUDES:
+            found.append((float(scale[lowest] - scale[highest]), lowest))
         return [v for _, v in sorted(found)]
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import beltrami as bt
 
 from ..transport import DENSITY_COLOURS
-from ..transport.film import film
 from ..view import Picture
+from ..view.film import film
 from . import Sheet, section
 
 

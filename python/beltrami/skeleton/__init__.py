@@ -14,14 +14,14 @@ import scipy
 from .. import _core, arrays
 from ..arrays import Floats, Ints
 from ..eigen import eigenpairs
-from ..errors import InputError, TopologyError
+from ..errors import DependencyError, InputError, TopologyError
 from ..files import written
 from ..near import nearest_neighbors
 from ..operators import Operators, operators
 from ..progress import Progress, part, reporter
 from ..results import save_result
 from ..shapes import PointCloud, Shape, TriangleMesh, no_shape
-from ..view import Page, Picture
+from ..view import Page, Picture, plot
 from .centerline import Drawing, center, descended, draw, section_of
 from .complexes import Complex, Indices, cloud_complex, mesh_complex, unique_edges
 from .reeb import ReebGraph, SimplifiedGraph, reeb_graph
@@ -153,8 +153,6 @@ class SkeletonResult:
         try:
             import networkx
         except ImportError:
-            from ..errors import DependencyError
-
             raise DependencyError("to_networkx needs the package networkx: pip install networkx") from None
         graph = networkx.Graph()
         for node, (x, radius, piece) in enumerate(zip(self.nodes, self.radii, self.components, strict=True)):
@@ -178,8 +176,6 @@ class SkeletonResult:
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the skeleton inside the transparent shape; the options are those of :func:`beltrami.plot`."""
-        from ..view import plot
-
         return plot(self.shape, path=path, **{**self.drawn(), **options})
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -21,7 +21,8 @@ from ..operators import Operators
 from ..progress import GapWatch, Progress
 from ..results import save_result
 from ..shapes import PointCloud, Shape
-from ..view import Page, Picture
+from ..view import Page, Picture, plot
+from ..view.film import film
 from . import continuity
 from .continuity import MEMORY, Certificate, Problem, Surface
 
@@ -224,9 +225,6 @@ class Flow:
         **options
             Those of :func:`beltrami.plot`.
         """
-        from ..view import plot
-        from .film import film
-
         counted = np.ndim(arrays.anything(times, "times")) == 0
         chosen = np.linspace(0, 1, arrays.whole(times, "times", 1, 1000)) if counted else arrays.floats(times, "times", (None,))
         if len(chosen) == 0:

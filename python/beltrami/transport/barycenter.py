@@ -19,7 +19,7 @@ from ..operators import Operators
 from ..progress import GapWatch, Progress
 from ..results import save_result
 from ..shapes import Shape
-from ..view import Page, Picture
+from ..view import Page, Picture, plot
 from . import DENSITY_COLOURS, balanced, density_in, options_in
 from .continuity import COARSE, Model, Problem, Scales, Splitting, Surface, coarser, looks, travel
 
@@ -69,8 +69,6 @@ class BarycenterResult:
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
         """Paints the densities and, last, their barycenter; the options are those of :func:`beltrami.plot`."""
-        from ..view import plot
-
         fields = {f"density {k}, weight {w:.3g}": p[0] for k, (w, p) in enumerate(zip(self.weights, self.paths, strict=True))}
         return plot(self.shape, {**fields, "barycenter": self.density}, path=path, **{"colormap": DENSITY_COLOURS, **options})
 

@@ -8,7 +8,7 @@ import json
 from collections.abc import Sequence
 
 from ..errors import InputError
-from ..view import Page, Picture
+from . import Page, Picture
 
 __all__ = ["film"]
 
@@ -72,7 +72,7 @@ def film(pictures: Sequence[Picture], captions: Sequence[str], *, title: str = "
     Examples
     --------
     >>> import beltrami as bt
-    >>> from beltrami.transport.film import film
+    >>> from beltrami.view.film import film
     >>> frames = [bt.plot(bt.shapes.sphere(1), size=(80, 80), color=c) for c in ("#aa0000", "#00aa00")]
     >>> "<input" in film(frames, ["red", "green"]).html
     True
