@@ -367,6 +367,33 @@ def test_weak_images_whose_means_move_are_solved(seed):
     assert bt.segment(mesh, image, fidelity=6.0, max_iterations=400).converged
 
 
+def bumpy(frequency):
+    """An ellipsoid without symmetries, and an image on it: 1 on a part of it, else 0, with noise at every vertex."""
+    sphere = bt.shapes.sphere(frequency=frequency)
+    x, y, z = sphere.vertices.T
+    bumps = 1 + 0.15 * np.sin(3 * x + 1) * np.cos(4 * y) + 0.2 * np.exp(-6 * (x - 1) ** 2) + 0.1 * np.sin(5 * z) * x
+    mesh = bt.TriangleMesh(sphere.vertices * bumps[:, None] * [1.3, 1.0, 0.7], sphere.faces)
+    height = mesh.vertices[:, 2] / np.linalg.norm(mesh.vertices, axis=1)
+    return mesh, (height > 0.3) + 0.4 * np.random.default_rng(1).normal(size=len(x))
+
+
+def test_the_means_wait_for_the_regions():
+    """They once followed a phi that still swung, came near to each other, and all was one region: the energy was 3.64, not 3.46."""
+    mesh, image = bumpy(63)
+    r = bt.segment(mesh, image, fidelity=10.0)
+    assert r.converged
+    assert r.means[:, 0] == pytest.approx([0, 1], abs=0.02)
+
+
+def test_a_region_too_many_is_given_up():
+    """Two means become one: the boundary between them has no reason to be anywhere, and took more than 1,000 sweeps to go."""
+    mesh, image = bumpy(32)
+    two, three = (bt.segment(mesh, image, fidelity=60.0, regions=regions, max_iterations=600) for regions in (2, 3))
+    assert three.converged
+    energy = two.primal + 60 * float(bt.operators(mesh).mass @ np.square(image - two.means[0, 0])) / mesh.area
+    assert three.primal < energy * (1 + 2e-4)
+
+
 @pytest.mark.parametrize("tv", ["isotropic", "edge"])
 def test_a_factor_that_takes_over_gives_the_same_answer(tv, monkeypatch):
     mesh = bt.shapes.sphere(4)

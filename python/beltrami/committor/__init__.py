@@ -247,7 +247,10 @@ def committor(
     share_a = float(system.gibbs @ backward) / partition
     fluxes = slab_fluxes(system, partition)
     flux, flux_error = float(fluxes.mean()), float(fluxes.std(ddof=1))
-    current = reactive_current(system, partition, backward if drift is not None else None, drift[part_of] if drift is not None else None)
+    with np.errstate(over="ignore", invalid="ignore"):
+        current = reactive_current(system, partition, backward if drift is not None else None, drift[part_of] if drift is not None else None)
+    if not np.isfinite(current).all():
+        raise NumericalError("the current is out of the range of double precision; measure in other units")
     q, q_backward = system.q[: system.count].copy(), backward[: system.count].copy()
     if kept is not None:
         q, q_backward = (_extended(ops, values, points, base, a, b, one) for values, one in ((q, b), (q_backward, a)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -33,8 +33,10 @@ TotalVariation = Literal["isotropic", "edge"]
 
 RELAXATION = 1.8  # of 1 to 2; 1.9 and 1 take more sweeps
 CHECK = 10  # sweeps between two certificates
-STRENGTH = 3.0  # most that the nodes' penalty may exceed the image's pull
-HASTY = 100  # sweeps in which the means follow each certificate
+PULL, SOFTEST = 3.0, 1 / 8  # what the nodes' penalty may be of the image's pull before κ is lowered for it, and how far at most
+STRENGTH = 10.0  # what it may be after that, before ρ is lowered
+SETTLED = 0.1  # share of the image's whole pull that the gap may be for the means to move
+HASTY = 100  # sweeps in which that is enough; later on they move when they are solved for, and regions of the same mean become one
 BALANCE = 50  # sweeps after which the penalty may be changed
 PENALTY = 9.0  # of denoising, for an image of standard deviation 1, in units of the spacing
 REDUCTION = 0.07  # of a linear system's residual, a sweep: less takes more sweeps, more buys none
@@ -312,8 +314,8 @@ class _Segmenter:
         self.means = self.start
         # Penalty and ratio for which the sweeps hardly depend on the size of the mesh: ρ in units of the spacing, κ of its inverse square.
         self.penalty = 1.5 * surface.spacing
-        self.ratio = 0.35 / surface.spacing**2
-        self.system = _System(surface, self.ratio * surface.weights)
+        self.ratio = self.softened = 0.35 / surface.spacing**2
+        self.system: _System | None = None
         self.split: list[Floats] | None = None
 
     def _given(self, means: Any) -> Floats:
@@ -396,7 +398,7 @@ class _Segmenter:
         surface, elements, mass = self.surface, self.surface.elements, self.surface.mass[:, None]
         channels, radius = (1, 1.0) if self.regions == 2 else (self.regions, 0.5)
         shape = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if surface.tv == "isotropic" else 1))
-        means, ratio, weights = self.means, self.ratio, surface.weights
+        means, weights = self.means, surface.weights
         with np.errstate(over="ignore"):
             cost = self._cost(means, fidelity)
         top = float(np.abs(cost).max())
@@ -409,11 +411,21 @@ class _Segmenter:
         w, p, z, y = self.split  # splits of the gradient and of phi, each with its multiplier
         phi, right, flux = z.copy(), np.zeros_like(z), np.zeros_like(z)
 
+        def pull(cost: Floats) -> float:
+            """How strongly the image moves phi: the root of the mean square of the cost."""
+            top = max(float(np.abs(cost).max()), 1e-300)
+            return top * float(np.sqrt((mass * np.square(cost / top)).sum() / channels))
+
+        ratio = self.ratio * float(np.clip(PULL * pull(cost) / (self.penalty * self.ratio), SOFTEST, 1.0))
+        if self.system is None:
+            self.system = _System(surface, ratio * weights)
+        elif ratio != self.softened:
+            self.system.change(ratio * weights)
+        system, self.softened = self.system, ratio
+
         def fitting(cost: Floats) -> float:
             """A weak image moves phi slowly against a strong penalty."""
-            top = max(float(np.abs(cost).max()), 1e-300)
-            strength = top * float(np.sqrt((mass * np.square(cost / top)).sum() / channels))
-            return float(self.penalty * np.clip(STRENGTH * strength / (self.penalty * ratio), 1e-12, 1.0))
+            return float(self.penalty * np.clip(STRENGTH * pull(cost) / (self.penalty * ratio), 1e-12, 1.0))
 
         penalty = fitted = fitting(cost)
 
@@ -429,7 +441,12 @@ class _Segmenter:
             candidates = [np.clip(phi, 0, 1), z] if channels == 1 else [z]
             if surface.tv == "edge" and channels == 1:  # the coarea formula is exact on a graph: a threshold is as good
                 candidates.append((phi > 0.5).astype(float))
-            values = [tv(candidate) for candidate in candidates]
+            whole = np.zeros_like(z)  # all in one region: a weak image hardly moves the mean of phi, however far the rest is
+            totals = (mass * cost).sum(0)
+            if channels > 1 or totals[0] < 0:
+                whole[:, int(totals.argmin())] = 1.0
+            values = [*(tv(candidate) for candidate in candidates), 0.0]
+            candidates.append(whole)
             best = int(np.argmin([value + float((mass * cost * c).sum()) for value, c in zip(values, candidates, strict=True)]))
             found = candidates[best]
             elements.flux(p, flux)
@@ -440,18 +457,21 @@ class _Segmenter:
                 dual = float(np.minimum(slack, 0).sum() if channels == 1 else slack.min(1).sum())
                 return primal, dual, (primal - dual) / max(abs(primal), 1e-3 * scale, 1e-300)
 
-            # Later on means move only once they are solved for: two that take turns would go on for ever.
-            if self.given or (sweep > HASTY and judged(cost)[2] > tolerance):
-                return found, means, cost, *judged(cost)
+            # Means of a phi that still swings would lose the regions. Later on they move only once they are solved for: two that
+            # take turns would go on for ever.
+            now = judged(cost)
+            settled = now[2] <= tolerance or (sweep <= HASTY and now[0] - now[1] <= SETTLED * float((mass * np.abs(cost)).sum()))
+            if self.given or not settled:
+                return found, means, cost, *now
             new = self._averages(self._labels(found), means)
             new_cost = self._cost(new, fidelity)
             return found, new, new_cost, *judged(new_cost)
 
         history: list[tuple[int, float, float, float]] = []
-        converged, sweep = False, 0
+        converged, sweep, united = False, 0, np.zeros(0)  # the means for which two regions were made one
         restart()
         for sweep in range(1, most + 1):
-            self.system.solve(right, phi)  # step (3): (L + κ M) phi = G^T A (W - B) + κ M (z - y / σ)
+            system.solve(right, phi)  # step (3): (L + κ M) phi = G^T A (W - B) + κ M (z - y / σ)
             missed, moved = elements.shrink(phi, w, p, right, False, radius, penalty, RELAXATION)  # steps (4) and (5)
             off, shifted = _core.constrain(phi, cost, weights, z, y, right, penalty * ratio, ratio, RELAXATION)  # 0 <= phi <= 1
             if sweep % CHECK and sweep != most:
@@ -462,6 +482,9 @@ class _Segmenter:
             if gap <= tolerance:
                 converged = True
                 break
+            if sweep > HASTY and channels > 1 and united is not means and self._unite(found, means, cost, (w, z, phi), (p, y), tv):
+                united = means
+                restart()
             # Means that have moved make another image.
             fit = fitting(cost)
             factor = 1.0 if fitted / 2 <= fit <= 2 * fitted else fit / fitted
@@ -473,6 +496,40 @@ class _Segmenter:
                 restart()
         self.means = means
         return self._result(found, means, cost, history, sweep, converged, fidelity, radius, p)
+
+    def _unite(
+        self,
+        found: Floats,
+        means: Floats,
+        cost: Floats,
+        splits: Sequence[Floats],
+        multipliers: Sequence[Floats],
+        tv: Callable[[Floats], float],
+    ) -> bool:
+        """Makes one of the two regions whose means are nearest, where that is better: a boundary between equals takes long to shrink.
+
+        Both get the average of their multipliers, as in a minimum where they cost the same.
+        """
+        pairs = np.array(list(itertools.combinations(range(self.regions), 2)))
+        one, other = pairs[np.argmin(np.square(means[pairs[:, 0]] - means[pairs[:, 1]]).sum(1))]
+        if not found[:, other].any() or not found[:, one].any():
+            return False
+        mass, united = self.surface.mass, found.copy()
+        both = mass * (found[:, one] + found[:, other])
+        if both @ cost[:, other] < both @ cost[:, one]:
+            one, other = other, one
+        united[:, one] += united[:, other]
+        united[:, other] = 0.0
+        if tv(united) + float((mass[:, None] * cost * united).sum()) >= tv(found) + float((mass[:, None] * cost * found).sum()):
+            return False
+        for field in splits:
+            split = field.reshape(len(field), self.regions, -1)
+            split[:, one] += split[:, other]
+            split[:, other] = 0.0
+        for field in multipliers:
+            multiplier = field.reshape(len(field), self.regions, -1)
+            multiplier[:, one] = multiplier[:, other] = 0.5 * (multiplier[:, one] + multiplier[:, other])
+        return True
 
     def _result(
         self,
