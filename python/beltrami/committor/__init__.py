@@ -248,7 +248,7 @@ def committor(
     fluxes = slab_fluxes(system, partition)
     flux, flux_error = float(fluxes.mean()), float(fluxes.std(ddof=1))
     with np.errstate(over="ignore", invalid="ignore"):
-        current = reactive_current(system, partition, backward if drift is not None else None, drift[part_of] if drift is not None else None)
+        current = reactive_current(system, partition) if drift is None else reactive_current(system, partition, backward, drift[part_of])
     if not np.isfinite(current).all():
         raise NumericalError("the current is out of the range of double precision; measure in other units")
     q, q_backward = system.q[: system.count].copy(), backward[: system.count].copy()
