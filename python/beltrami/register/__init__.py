@@ -22,7 +22,7 @@ from ..errors import InputError
 from ..maps import coverage
 from ..operators import Operators
 from ..progress import Progress, part, reporter, teller
-from ..shapes import PointCloud, Shape
+from ..shapes import PointCloud, Shape, TriangleMesh
 from .candidates import Products, RegistrationCandidate, beam, distinct, grown, judge, listed, point_maps, products_of, with_constant
 from .deformation import Rigid, low_passed, polish_map
 from .eigenmaps import align_eigenmaps, eigenmap, settle
@@ -115,6 +115,22 @@ def _by_triple_products(
     return _Found(matrix, forward, backward, positions, candidates, {"levels": np.array(levels, float)}, [])
 
 
+def _doubts(source: Side, target: Side, there_and_back: float) -> list[str]:
+    """What speaks against a bending between the two shapes."""
+    found = []
+    first, second = source.shape, target.shape
+    if isinstance(first, TriangleMesh) and isinstance(second, TriangleMesh) and first.euler_characteristic != second.euler_characteristic:
+        both = f"{first.euler_characteristic} and {second.euler_characteristic}"
+        found.append(f"no bending takes one shape to the other as a whole: their Euler characteristics are {both}")
+    spacing = 1 / np.sqrt(min(len(source.positions), len(target.positions)))  # of the coarser side, at area 1
+    if there_and_back > max(0.015, 1.5 * spacing):  # good maps: below 0.006 at any spacing, a third of it where one side is coarse
+        found.append(
+            f"points come back {there_and_back:.2g} of the root of the area from where they began, which is much: the shapes may differ by "
+            "more than a bending, or be mirror images"
+        )
+    return found
+
+
 def match(source: Side, target: Side, *, method: str, polish: bool, most: int, rng: np.random.Generator, report: Any) -> RegistrationResult:
     """:func:`register` for two prepared sides."""
     seed = int(rng.integers(2**31))
@@ -147,6 +163,8 @@ def match(source: Side, target: Side, *, method: str, polish: bool, most: int, r
         how = "rest on the energies of the deformations alone" if extrinsic else "cannot be told apart"
         notes.append(f"no orientation: left and right {how}{twins(found.candidates)}")
     moved = source.positions[found.backward[found.forward]] - source.positions
+    there_and_back = float(source.mass @ np.linalg.norm(moved, axis=1))
+    notes += _doubts(source, target, there_and_back)
     result = RegistrationResult(
         point_map=found.forward,
         inverse_map=found.backward,
@@ -155,7 +173,7 @@ def match(source: Side, target: Side, *, method: str, polish: bool, most: int, r
         distance=distance,
         candidates=tuple(found.candidates),
         coverage=coverage(found.forward, target.mass),
-        bijectivity=float(source.mass @ np.linalg.norm(moved, axis=1)),
+        bijectivity=there_and_back,
         orientation=found.candidates[0].orientation,
         mirror_decided=oriented,
         extrinsic=extrinsic,
