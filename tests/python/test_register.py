@@ -213,7 +213,7 @@ def test_bad_input_is_refused(spot):
 
 
 def test_shapes_that_no_bending_joins_are_said_to_be_so() -> None:
-    torus, ball = bt.shapes.torus(rows=60, columns=24), bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=3)
+    torus, ball = bt.shapes.torus(rows=60, columns=24), bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=4)
     notes = bt.register(ball, torus, rng=0).notes
     assert any("Euler characteristics are 2 and 0" in note for note in notes)
     assert any("more than a bending" in note for note in notes)
