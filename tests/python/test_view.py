@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from beltrami import _core
 from beltrami.progress import Bar, reporter
-from beltrami.view import _MISSING, colors, lettering
+from beltrami.view import colors, lettering
+from beltrami.view.fields import MISSING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -379,7 +380,7 @@ def test_tables_are_what_they_are_for():
 def test_no_data_is_grey_and_is_said(nothing):
     values = np.array([nothing, nothing, nothing, 1.0])
     pixels = flat((SQUARE, HALVES), values)
-    assert np.array_equal(pixels[120, 120], np.round(255 * np.array(_MISSING)))
+    assert np.array_equal(pixels[120, 120], np.round(255 * np.array(MISSING)))
     foot = slice(-30, None), slice(0, 150)  # beside the square, where the note stands
     assert (bt.plot((SQUARE, HALVES), values, views="front", size=(900, 300)).pixels[foot] < 200).any()
     assert not (bt.plot((SQUARE, HALVES), np.ones(4), views="front", size=(900, 300)).pixels[foot] < 200).any()
@@ -387,7 +388,7 @@ def test_no_data_is_grey_and_is_said(nothing):
 
 def test_negative_labels_are_no_label():
     pixels = flat((SQUARE, HALVES), np.array([-1, -1, -1, 4]))
-    assert np.array_equal(pixels[120, 120], np.round(255 * np.array(_MISSING)))
+    assert np.array_equal(pixels[120, 120], np.round(255 * np.array(MISSING)))
 
 
 TORUS = bt.shapes.torus(rows=12, columns=8)

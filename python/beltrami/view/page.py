@@ -6,16 +6,13 @@ import base64
 import html
 import json
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .colors import Colours
-
-if TYPE_CHECKING:
-    from . import Field
-
+from .fields import Field
 
 _MOST_LEVELS = 64  # contour lines that the viewer has room for
 
