@@ -145,7 +145,7 @@ def crowds(sheet: Sheet) -> None:
     ends = [ring / (mass @ ring), cross / (mass @ cross)]
     shown, gaps = {"ring": ends[0]}, []
     for share in (0.25, 0.5, 0.75):
-        b = bt.wasserstein_barycenter(grid, ends, weights=[1 - share, share], intervals=6, tolerance=2e-2)
+        b = bt.wasserstein_barycenter(grid, ends, weights=[1 - share, share], intervals=4, tolerance=3e-2)
         shown[f"{100 - 100 * share:g} % ring, {100 * share:g} % cross"] = b.density
         gaps.append(b.gap)
     sheet.picture(
