@@ -153,7 +153,8 @@ def signature(name: str, item: Any) -> str:
         return name
     text = re.sub(r" -> '?None'?$", "", text) if inspect.isclass(item) else text
     text = re.sub(r"\b(?:beltrami|numpy|typing|collections\.abc|np|npt)\.(?:\w+\.)*", "", text)
-    return name + text.replace("'", "") if len(name + text) < 100 else name + re.sub(r", (?=\*|\w+:)", ",\n    ", text.replace("'", ""))
+    text = re.sub(r"(: |-> )'([^']*)'", r"\1\2", text).replace("'", '"')  # annotations are quoted, and so are words as defaults
+    return name + text if len(name + text) < 100 else name + re.sub(r", (?=\*|\w+:)", ",\n    ", text)
 
 
 def summary(item: Any) -> str:
@@ -169,7 +170,7 @@ def reference() -> dict[str, dict[str, Any]]:
         item = getattr(bt, name)
         if inspect.ismodule(item) or not (inspect.isclass(item) or callable(item)):
             continue
-        module = str(item.__module__).removeprefix("beltrami").strip(".") or "threads"
+        module = str(item.__module__).removeprefix("beltrami").strip(".").split(".")[0] or "threads"  # a folder's parts on one page
         found.setdefault({"_core": "threads", "builtins": "threads"}.get(module, module), {})[name] = item
     for module in MODULES:
         try:
@@ -251,6 +252,7 @@ def build(out: Path, rust: Path | None = None) -> list[Path]:
     rows = []
     for module, names in found.items():
         write(f"reference_{module}", module, module_page(module, names, known))
+        rows.append(f'<tr><th colspan="2" scope="rowgroup"><a href="reference_{module}.html">{module}</a></th></tr>')
         for name, item in names.items():
             link = f'<a href="{known[name]}"><code>{qualified(module, name)}</code></a>'
             rows.append(f"<tr><td>{link}</td><td>{inline(summary(item), known)}</td></tr>")
