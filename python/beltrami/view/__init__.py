@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from .. import _core, arrays
 from ..errors import InputError
 from ..progress import Progress, part, reporter
-from . import colors, lettering
-from .canvas import Canvas, draw_bar, fitted
+from . import colors, page
+from .canvas import Canvas, draw_bar, draw_legend, fitted, legend_width
 from .fields import MISSING, PLAIN, Field, Levels, field_of, ramp_of, tick_texts, ticks_of
 from .picture import Page, Picture, write_bytes
 from .scene import Axis, Geometry, View, camera_of, each_colour, geometry_of, marks_of, named_views, polylines_of, touching_radius
@@ -158,13 +159,11 @@ def plot(
     said = description or _describe(geometry, fields, [name for _, name in cameras], title)
     report = reporter(progress, "painting")
     if path is not None and Path(path).suffix.lower() != ".png":
-        from . import page
-
         html = page.build(
             geometry.vertices,
             geometry.faces,
             geometry.normals,
-            [_page_field(page, f, colormap, limits) for f in fields],
+            [page.field_data(f, *_ramp_and_ticks(f, colormap, limits)) for f in fields],
             title=title or "",
             description=said,
             marks=marks,
@@ -219,17 +218,7 @@ def plot(
     panels = [(f, axes, name) for f in fields for axes, name in cameras]
     alone = len(fields) == 1 or (limits is not None and all(f.bar and f.kind == "scalars" for f in fields))
     first = fields[0]
-    bar_room = 0.0
-    if color_bar and alone and first.bar and first.kind == "scalars":
-        wide = max((lettering.width(text, 0.85 * size_) for text in tick_texts(ticks_of(*first.span))), default=0.0)
-        bar_room = max(
-            1.3 * size_ + wide + 1.6 * size_, lettering.width(fitted(first.name, 0.9 * size_, 0.25 * width), 0.9 * size_) + size_
-        )
-    elif color_bar and alone and first.bar:  # numbers on faces: the same bar
-        bar_room = 5.5 * size_
-    elif color_bar and alone and first.legend:
-        shown_names = [fitted(name, 0.85 * size_, 0.24 * width) for name in first.legend[:24]]
-        bar_room = 2.2 * size_ + max(lettering.width(name, 0.85 * size_) for name in [*shown_names, "and 99 more"])
+    bar_room = legend_width(first, size_, width) if color_bar and alone else 0.0
     inside = (width - left - right - bar_room, height - top - bottom)
     several = len(panels) > 1
     own_bar = color_bar and not alone
@@ -245,20 +234,7 @@ def plot(
         boxes.append((q[:, :2].min(axis=0) - ball, q[:, :2].max(axis=0) + ball))
     sizes = [np.maximum(high - low, 1e-3 * extent) for low, high in boxes] * len(fields)
     gap = (1.2 * size_, 0.8 * size_)
-    best: tuple[float, int] = (0.0, 1)
-    for columns in range(1, len(panels) + 1):
-        room = inside[0] / columns - gap[0], inside[1] / math.ceil(len(panels) / columns) - under - gap[1]
-        fit = min(min(room[0] / float(box[0]), room[1] / float(box[1])) for box in sizes)
-        if fit > best[0] * 1.0001:
-            best = fit, columns
-    scale, columns = best
-    shares = np.full(len(panels), 1 / columns)
-    # In a single row narrow views leave their room to wide ones.
-    widths = np.array([float(box[0]) for box in sizes])
-    in_a_row = min((inside[0] - len(panels) * gap[0]) / widths.sum(), (inside[1] - under - gap[1]) / max(float(box[1]) for box in sizes))
-    if in_a_row > scale:
-        scale, columns = in_a_row, len(panels)
-        shares = (widths * scale + gap[0]) / (widths * scale + gap[0]).sum()
+    scale, columns, shares = _arranged(sizes, inside, gap, under)
     if scale <= 0 or not math.isfinite(scale):
         raise InputError(f"size {width} x {height} leaves no room for {len(panels)} panels; make it larger")
     rows = math.ceil(len(panels) / columns)
@@ -334,29 +310,41 @@ def plot(
             if first.name and len(fields) == 1:
                 canvas.text(fitted(first.name, 0.9 * size_, 0.25 * width), width - right, y - 1.1 * size_, 0.9 * size_, align="right")
         else:
-            step = min(1.5 * size_, inside[1] / (len(first.legend) + 1))
-            shown_names = [*first.legend[:24]] + ([f"and {len(first.legend) - 24} more"] if len(first.legend) > 24 else [])
-            y = top + 0.5 * (inside[1] - step * len(shown_names))
-            for at, name in enumerate(shown_names):
-                y += step
-                if at < 24:
-                    swatch = first.colours[at] if first.kind == "labels" else colors.categories(at + 1)[at]
-                    canvas.dot(x + 0.4 * size_, y - 0.3 * size_, 0.75 * size_, swatch)
-                canvas.text(fitted(name, 0.85 * size_, 0.24 * width), x + 1.2 * size_, y, 0.85 * size_, strength=0.9)
+            draw_legend(canvas, first, x, top, inside[1], size_, 0.24 * width)
     picture = Picture(canvas.done(), said)
     return picture if path is None else Picture(picture.pixels, said, picture.save(path))
 
 
-def _page_field(page: Any, shown: Field, colormap: Any, limits: tuple[float, float] | None) -> dict[str, Any]:
+def _arranged(
+    sizes: list[npt.NDArray[np.float64]], inside: tuple[float, float], gap: tuple[float, float], under: float
+) -> tuple[float, int, npt.NDArray[np.float64]]:
+    """Pixels a unit, as many as panels of these sizes leave room for; how many panels stand in a row; the share of the row of each."""
+    count = len(sizes)
+    scale, columns = 0.0, 1
+    for some in range(1, count + 1):
+        room = inside[0] / some - gap[0], inside[1] / math.ceil(count / some) - under - gap[1]
+        fit = min(min(room[0] / float(box[0]), room[1] / float(box[1])) for box in sizes)
+        if fit > scale * 1.0001:
+            scale, columns = fit, some
+    # In a single row narrow views leave their room to wide ones.
+    widths = np.array([float(box[0]) for box in sizes])
+    in_a_row = min((inside[0] - count * gap[0]) / widths.sum(), (inside[1] - under - gap[1]) / max(float(box[1]) for box in sizes))
+    if in_a_row > scale:
+        return in_a_row, count, (widths * in_a_row + gap[0]) / (widths * in_a_row + gap[0]).sum()
+    return scale, columns, np.full(count, 1 / columns)
+
+
+def _ramp_and_ticks(
+    shown: Field, colormap: Any, limits: tuple[float, float] | None
+) -> tuple[npt.NDArray[Any] | None, list[tuple[float, str]]]:
+    """The colours of a page's colour bar, and its ticks by their shares of it; none where no numbers belong to the colours."""
     if not shown.bar:
-        made: dict[str, Any] = page.field_data(shown, None, [])
-        return made
+        return None, []
     table = shown if shown.kind == "scalars" else ramp_of(shown, colormap, limits)
     low, high = shown.span
     ticks = ticks_of(low, high)
     places = [float((tick - low) / (high - low)) if high > low else 0.5 for tick in ticks]
-    made = page.field_data(shown, table.colours[:, :3], list(zip(places, tick_texts(ticks), strict=True)))
-    return made
+    return table.colours[:, :3], list(zip(places, tick_texts(ticks), strict=True))
 
 
 def _describe(geometry: Geometry, fields: list[Field], views: list[str], title: str | None) -> str:

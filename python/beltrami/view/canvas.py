@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core, arrays
-from . import lettering
+from . import colors, lettering
 from .fields import Field, number_text, tick_texts, ticks_of
 
 
@@ -79,3 +79,32 @@ def draw_bar(canvas: Canvas, shown: Field, x: float, y: float, width: float, hei
         across, down = x0 + along * (x1 - x0), y1 - along * (y1 - y0)
         ends = [(x0, down), (x1, down)] if upright else [(across, y0), (across, y1)]
         canvas.strokes.append((np.array(ends, float), [0, 2], 1.0, (0.08, 0.08, 0.12, 0.5)))
+
+
+MOST = 24  # labels that a legend names
+
+
+def legend_width(shown: Field, size: float, width: int) -> float:
+    """Room that the colour bar or the legend of a field takes beside pictures, for text of some size."""
+    if shown.bar and shown.kind == "scalars":
+        wide = max((lettering.width(text, 0.85 * size) for text in tick_texts(ticks_of(*shown.span))), default=0.0)
+        return max(1.3 * size + wide + 1.6 * size, lettering.width(fitted(shown.name, 0.9 * size, 0.25 * width), 0.9 * size) + size)
+    if shown.bar:  # numbers on faces: the same bar
+        return 5.5 * size
+    if shown.legend:
+        names = [fitted(name, 0.85 * size, 0.24 * width) for name in shown.legend[:MOST]]
+        return 2.2 * size + max(lettering.width(name, 0.85 * size) for name in [*names, "and 99 more"])
+    return 0.0
+
+
+def draw_legend(canvas: Canvas, shown: Field, x: float, top: float, height: float, size: float, room: float) -> None:
+    """The labels of a field with their colours, one below the other."""
+    step = min(1.5 * size, height / (len(shown.legend) + 1))
+    names = [*shown.legend[:MOST]] + ([f"and {len(shown.legend) - MOST} more"] if len(shown.legend) > MOST else [])
+    y = top + 0.5 * (height - step * len(names))
+    for at, name in enumerate(names):
+        y += step
+        if at < MOST:
+            swatch = shown.colours[at] if shown.kind == "labels" else colors.categories(at + 1)[at]
+            canvas.dot(x + 0.4 * size, y - 0.3 * size, 0.75 * size, swatch)
+        canvas.text(fitted(name, 0.85 * size, room), x + 1.2 * size, y, 0.85 * size, strength=0.9)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .colors import Colours
 from .fields import Field
 
 _MOST_LEVELS = 64  # contour lines that the viewer has room for
@@ -25,7 +24,7 @@ def _bytes(colours: npt.ArrayLike) -> npt.NDArray[np.uint8]:
     return np.round(255 * np.asarray(colours, float)).astype(np.uint8)
 
 
-def field_data(shown: Field, ramp: Colours | None, ticks: list[tuple[float, str]]) -> dict[str, Any]:
+def field_data(shown: Field, ramp: npt.NDArray[Any] | None, ticks: list[tuple[float, str]]) -> dict[str, Any]:
     """What the viewer has to know about a field."""
     low, high = shown.span
     levels = shown.levels[(shown.levels >= low) & (shown.levels <= high)]
