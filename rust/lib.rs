@@ -39,6 +39,7 @@ pub mod sparse;
 pub mod sphere;
 pub mod threads;
 pub mod transport;
+mod vector;
 pub mod view;
 
 pub use control::Control;

@@ -86,6 +86,15 @@ fn agreement(map: &[f64], n: usize, a: &[f64], b: &[f64], work: &mut [Vec<f64>; 
 /// `<source.odd, C target.odd>`, plus `<linear, C>`; C acts on all three indices of a triple product, `linear` (n x n) is what
 /// features say of it. Returns the maps, and for each the three inner products at the end.
 ///
+/// ```
+/// use beltrami::{Control, register::{Triple, ascend}};
+/// // one mode: the products agree if the sign is kept
+/// let triple = Triple { even: &[2.0], odd: &[0.0] };
+/// let (maps, scores) = ascend(&[-1.0, 1.0], 1, triple, triple, 1.0, &[0.0], 3, &Control::default())?;
+/// assert_eq!((maps, scores), (vec![1.0, 1.0], vec![[4.0, 0.0, 0.0]; 2]));
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+///
 /// # Errors
 /// [`Error::Input`] if lengths do not fit or a number is not finite; [`Error::Cancelled`].
 pub fn ascend(
@@ -203,6 +212,16 @@ fn cross(a: &Spectral<'_>, b: &Spectral<'_>, points: &[u32], masses: &[f64], at_
 
 /// Nearest rows in both directions for one functional map of order k: for each source point a target point, and back.
 ///
+/// ```
+/// use beltrami::{Control, register::{Spectral, functional_map, point_maps}};
+/// let source = Spectral { functions: &[-1.0, 0.0, 2.0], modes: 1, features: &[], masses: &[1.0; 3] };
+/// let target = Spectral { functions: &[-2.0, 1.0, 0.0], ..source }; // the sign of the mode has changed
+/// let (forward, backward) = point_maps(&[-1.0], 1, source, target, &Control::default())?;
+/// assert_eq!((&forward[..], &backward[..]), (&[1, 2, 0][..], &[2, 0, 1][..]));
+/// assert_eq!(functional_map(&forward, &backward, 1, source, target)?, [-1.0]);
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+///
 /// # Errors
 /// [`Error::Input`] if lengths do not fit or a number is not finite; [`Error::Cancelled`].
 pub fn point_maps(map: &[f64], k: usize, source: Spectral<'_>, target: Spectral<'_>, control: &Control) -> Result<(Vec<u32>, Vec<u32>)> {
@@ -216,7 +235,7 @@ pub fn point_maps(map: &[f64], k: usize, source: Spectral<'_>, target: Spectral<
     Ok((forward, backward))
 }
 
-/// The orthogonal functional map of order k that fits two point maps, one in each direction, best.
+/// The orthogonal functional map of order k that fits two point maps, one in each direction, best; see [`point_maps`] for an example.
 ///
 /// # Errors
 /// [`Error::Input`] if lengths do not fit or a point is not there.
@@ -236,6 +255,15 @@ pub fn functional_map(forward: &[u32], backward: &[u32], k: usize, source: Spect
 
 /// One level of spectral upsampling in both directions (Melzi et al. 2019; two-way as in Ren et al. 2020) for several maps of
 /// order k at a time: point maps from `C`, and from them maps of order `next`.
+///
+/// ```
+/// use beltrami::{Control, register::{Spectral, upsample}};
+/// let source = Spectral { functions: &[-1.0, 1.0, 0.0, -2.0, 1.0, 1.0], modes: 2, features: &[], masses: &[1.0; 3] };
+/// let target = Spectral { functions: &[-1.0, -1.0, 0.0, 2.0, 1.0, -1.0], ..source }; // the sign of the second mode has changed
+/// let map = upsample(&[1.0], 1, 2, source, target, &Control::default())?;
+/// assert!(map.iter().zip([1.0, 0.0, 0.0, -1.0]).all(|(a, b)| (a - b).abs() < 1e-15));
+/// # Ok::<(), beltrami::Error>(())
+/// ```
 ///
 /// # Errors
 /// [`Error::Input`] if lengths do not fit or a number is not finite; [`Error::Cancelled`].

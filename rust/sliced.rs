@@ -665,22 +665,3 @@ impl Alignment {
         (source.moment(pulled), cost)
     }
 }
-
-/// One step of the alternation: `H` at a rotation, and the squared distance there. For many steps keep an [`Alignment`].
-///
-/// # Errors
-/// Those of [`Alignment::new`] and [`Alignment::step`].
-#[allow(clippy::too_many_arguments)]
-pub fn coupling_step(
-    source: &[f64],
-    target: &[f64],
-    dimension: usize,
-    source_weights: Option<&[f64]>,
-    target_weights: Option<&[f64]>,
-    directions: &[f64],
-    rotation: &[f64],
-    control: &Control,
-) -> Result<Step> {
-    let alignment = Alignment::new(source, target, dimension, source_weights, target_weights, directions, control)?;
-    alignment.step(rotation, control)?.pop().ok_or_else(|| Error::input("no rotation is given"))
-}

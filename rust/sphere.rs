@@ -4,6 +4,7 @@
 
 use crate::control::Control;
 use crate::error::{Error, Result};
+use crate::vector::{cross, dot, minus};
 use rayon::prelude::*;
 
 /// What [`excess_gradient`] finds.
@@ -27,20 +28,8 @@ struct Share {
     excess: f64,
 }
 
-fn difference(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
 fn share(p: [[f64; 3]; 3], cotangents: &[f64], weight: Option<f64>) -> Share {
-    let edges = [difference(p[2], p[1]), difference(p[0], p[2]), difference(p[1], p[0])];
+    let edges = [minus(p[2], p[1]), minus(p[0], p[2]), minus(p[1], p[0])];
     let normal = cross(edges[2], edges[1].map(|x| -x));
     let double = dot(normal, normal).sqrt();
     let turned = dot(p[0], normal);

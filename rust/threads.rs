@@ -87,7 +87,7 @@ fn pool() -> Result<Arc<ThreadPool>> {
     Ok(threads)
 }
 
-/// How many threads [`run`] uses.
+/// How many threads [`run`] uses; see [`set_num_threads`] for an example.
 ///
 /// # Errors
 /// [`Error::Input`] if `BELTRAMI_NUM_THREADS` is no whole number from 1 to 4096, or the threads cannot be started.
@@ -117,6 +117,14 @@ pub fn set_num_threads(count: usize) -> Result<()> {
 
 /// Runs `work` on the library's pool and waits for it.
 ///
+/// ```
+/// use beltrami::{Control, near::KdTree, threads};
+/// let points = [0.0, 1.0, 4.0];
+/// let tree = threads::run(|| KdTree::new(&points, 1, &Control::default()))?;
+/// assert_eq!(tree.len(), 3);
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+///
 /// # Errors
 /// Those of `work`, and those of [`num_threads`].
 pub fn run<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
@@ -124,6 +132,18 @@ pub fn run<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
 }
 
 /// Runs `wait` on the calling thread; what it spawns in the scope runs on the library's pool.
+///
+/// ```
+/// use beltrami::{Control, near::KdTree, threads};
+/// let (points, control) = (vec![0.5; 3000], Control::default());
+/// let mut tree = None;
+/// threads::scope(|scope| {
+///     scope.spawn(|_| tree = Some(KdTree::new(&points, 3, &control)));
+///     control.done() // meanwhile: how far it is
+/// })?;
+/// assert!(tree.is_some_and(|tree| tree.is_ok()));
+/// # Ok::<(), beltrami::Error>(())
+/// ```
 ///
 /// # Errors
 /// Those of [`num_threads`].

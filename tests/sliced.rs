@@ -49,8 +49,9 @@ proptest! {
         let directions = [0.6, 0.8, -0.8, 0.6];
         let control = Control::default();
         let distance = sliced::distance(&turned, y, 2, None, None, &directions, &control).unwrap();
-        let step = sliced::coupling_step(x, y, 2, None, None, &directions, &[c, s, -s, c], &control).unwrap();
-        prop_assert!((step.value.sqrt() - distance).abs() <= 1e-12 * (1.0 + distance));
+        let alignment = Alignment::new(x, y, 2, None, None, &directions, &control).unwrap();
+        let value = alignment.step(&[c, s, -s, c], &control).unwrap()[0].value;
+        prop_assert!((value.sqrt() - distance).abs() <= 1e-12 * (1.0 + distance));
     }
 }
 

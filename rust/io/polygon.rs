@@ -2,6 +2,7 @@
 
 use super::source::Parsed;
 use crate::control::Control;
+use crate::vector::{cross, dot};
 
 // Clipping takes time quadratic in the number of reflex corners; polygons beyond this are cut as a fan.
 const MOST_CORNERS: usize = 2048;
@@ -146,9 +147,8 @@ impl Cutter {
         let mut first = normal.map(|number| -number * normal[axis]);
         first[axis] += 1.0;
         let second = cross(normal, first);
-        let dot = |a: &[f64; 3], b: &[f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         self.flat.clear();
-        self.flat.extend(scaled.map(|place| [dot(&place, &first), dot(&place, &second)]));
+        self.flat.extend(scaled.map(|place| [dot(place, first), dot(place, second)]));
         true
     }
 
@@ -200,10 +200,6 @@ impl Cutter {
 
 fn fan(corners: &[u32], out: &mut Vec<[u32; 3]>) {
     out.extend(corners.windows(2).skip(1).map(|pair| [corners[0], pair[0], pair[1]]));
-}
-
-pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Twice the signed area of a triangle.

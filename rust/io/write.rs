@@ -444,7 +444,7 @@ fn normal([a, b, c]: [[f64; 3]; 3]) -> [f64; 3] {
     }
     let edge = |p: [f64; 3]| -> [f64; 3] { std::array::from_fn(|i| p[i] / size - a[i] / size) };
     let (u, v) = (edge(b), edge(c));
-    let cross = super::polygon::cross(u, v);
+    let cross = crate::vector::cross(u, v);
     let length = cross.iter().map(|number| number * number).sum::<f64>().sqrt();
     if length > 0.0 { cross.map(|number| number / length) } else { [0.0; 3] }
 }

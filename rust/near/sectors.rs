@@ -2,6 +2,7 @@
 
 use crate::control::Control;
 use crate::error::{Error, Result};
+use crate::vector::dot;
 use rayon::prelude::*;
 
 /// A point counts for a direction by exp(SHARPNESS (cos - 1)) of the angle between them: two of 24 sectors wide.
@@ -118,10 +119,6 @@ pub fn sectors(grouped: &Grouped<'_>, planes: &Planes<'_>, directions: usize, co
         Ok(())
     })?;
     Ok(out)
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[cfg(test)]

@@ -76,6 +76,28 @@ pub(crate) struct Frames {
     pub(crate) estimate: f64,
 }
 
+/// Neighbours whose tangent spaces agree less than this (the determinant between their frames) lie on another sheet.
+const AGREEMENT: f64 = 0.3;
+
+/// Whether two tangent spaces are near each other.
+pub(crate) fn agree(x: &[f64], y: &[f64], ambient: usize, dimension: usize) -> bool {
+    let mut m = [[0.0; 3]; 3];
+    for a in 0..dimension {
+        for b in 0..dimension {
+            m[a][b] = x[a * ambient..][..ambient].iter().zip(&y[b * ambient..][..ambient]).map(|(x, y)| x * y).sum();
+        }
+    }
+    let determinant = match dimension {
+        1 => m[0][0],
+        2 => m[0][0] * m[1][1] - m[0][1] * m[1][0],
+        _ => {
+            m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+                + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+        }
+    };
+    determinant.abs() > AGREEMENT
+}
+
 /// Names some indices for a message: "3, 17, 20 and 5 more".
 pub(crate) fn name_some(indices: &[u32]) -> String {
     let mut text = indices.iter().take(8).map(u32::to_string).collect::<Vec<_>>().join(", ");
@@ -99,7 +121,7 @@ impl Cloud {
         }
         let Some((scaled, scale)) = normalized(points, ambient)? else {
             return Err(Error::input(format!(
-                "all {count} points, 0 to {}, are at one place; an operator needs points that differ (deduplicate=True keeps one of each)",
+                "all {count} points, 0 to {}, are at one place; an operator needs points that differ (keep one of each place)",
                 count - 1
             )));
         };
@@ -648,7 +670,7 @@ fn refuse_duplicates(cloud: &Cloud, states: &[State], neighbors: &[u32], width: 
     if copies.len() > 6 {
         text += &format!(" ({} such pairs in all)", copies.len());
     }
-    Err(Error::input(format!("{text}; remove copies, or let deduplicate=True keep the first of each")))
+    Err(Error::input(format!("{text}; remove copies, or ask for the first of each to be kept (deduplicate)")))
 }
 
 fn refuse_isolated(cloud: &Cloud, spacing: &[f64], neighbors: &[u32], width: usize) -> Result<()> {

@@ -19,8 +19,7 @@
 //! so do one-sided neighbourhoods where a cloud ends.
 
 use super::dense::{Monomials, cholesky, cholesky_solve};
-use super::frames::{Cloud, Frames, Progress, STEEP, TASK, name_some};
-use super::local_mesh::agree;
+use super::frames::{Cloud, Frames, Progress, STEEP, TASK, agree, name_some};
 use crate::control::Control;
 use crate::error::{Error, Result};
 use crate::near::Scratch;

@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::shape::glue::Glue;
 use crate::shape::{Topology, TriangleMesh};
 use crate::sparse::CHUNK;
+use crate::vector::{cross, dot, minus};
 use rayon::prelude::*;
 
 type Point = [f64; 3];
@@ -24,21 +25,9 @@ pub(crate) enum Curve {
     },
 }
 
-fn dot(a: Point, b: Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn minus(a: Point, b: Point) -> Point {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
 /// `a + factor b`
 fn along(a: Point, factor: f64, b: Point) -> Point {
     [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]]
-}
-
-fn cross(a: Point, b: Point) -> Point {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 impl Curve {

@@ -10,6 +10,7 @@ use crate::shape::mesh::{area, squared_edge_lengths};
 use crate::shape::topology::repeats_a_corner;
 use crate::shape::{Topology, TriangleMesh};
 use crate::sparse::CHUNK;
+use crate::vector::{cross, dot};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -132,7 +133,7 @@ pub fn intrinsic_delaunay(mesh: &TriangleMesh<'_>, control: &Control) -> Result<
     if let Some(edge) = topology.non_manifold_edge() {
         let [a, b] = topology.edges()[edge];
         return Err(Error::Topology(format!(
-            "{} faces share the edge from vertex {a} to vertex {b}, so the mesh has no intrinsic triangulation; use laplacian=\"tufted\"",
+            "{} faces share the edge from vertex {a} to vertex {b}, so the mesh has no intrinsic triangulation; use the tufted Laplacian",
             topology.edge_half_edges(edge).len()
         )));
     }
@@ -242,8 +243,6 @@ fn sort_around(mesh: &TriangleMesh<'_>, topology: &Topology<'_>, edge: usize, sh
         let (p, q) = (mesh.vertex(vertex), mesh.vertex(low));
         [p[0] - q[0], p[1] - q[1], p[2] - q[2]]
     };
-    let cross = |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let axis = from_low(high);
     let size = dot(axis, axis).sqrt();
     // the normals of the triangles turn about the axis as the triangles do

@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::shape::TriangleMesh;
 use crate::shape::implicit::{Curve, tube_union};
 use crate::sparse::CHUNK;
+use crate::vector::{cross, length};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -67,14 +68,6 @@ fn turn(step: usize, steps: usize) -> [f64; 2] {
         2 => [-cos, -sin],
         _ => [sin, -cos],
     }
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn norm(a: [f64; 3]) -> f64 {
-    (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt()
 }
 
 fn scaled(a: [f64; 3], factor: f64) -> [f64; 3] {
@@ -169,7 +162,7 @@ fn ellipsoid_of(frequency: usize, semi_axes: [f64; 3]) -> Result<TriangleMesh<'s
                 *sum += share(step) * x;
             }
         }
-        let length = norm(sum);
+        let length = length(sum);
         std::array::from_fn(|axis| sum[axis] / length * semi_axes[axis])
     };
     let mut vertices = Vec::with_capacity(count);
@@ -426,7 +419,7 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
     };
     let samples = 200 * (p + q);
     let places: Vec<[[f64; 3]; 4]> = (0..samples).into_par_iter().map(|k| curve(TAU * k as f64 / samples as f64)).collect();
-    let sharpest = places.iter().map(|[_, v, a, _]| norm(cross(*v, *a)) / norm(*v).powi(3)).fold(0.0, f64::max);
+    let sharpest = places.iter().map(|[_, v, a, _]| length(cross(*v, *a)) / length(*v).powi(3)).fold(0.0, f64::max);
     if tube * sharpest >= 1.0 {
         return Err(Error::input(format!(
             "tube_radius is {tube}, the knot's least radius of curvature is {}; the tube would fold",
@@ -436,7 +429,7 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
     // lengths of arc by the trapezoid rule, which converges exponentially on a closed smooth curve
     let mut lengths = vec![0.0; samples + 1];
     for k in 0..samples {
-        lengths[k + 1] = lengths[k] + 0.5 * (norm(places[k][1]) + norm(places[(k + 1) % samples][1])) * TAU / samples as f64;
+        lengths[k + 1] = lengths[k] + 0.5 * (length(places[k][1]) + length(places[(k + 1) % samples][1])) * TAU / samples as f64;
     }
     let total = lengths[samples];
     let stride = (samples / 800).max(1);
@@ -444,7 +437,7 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
         (0..k).step_by(stride).find_map(|l| {
             let apart = (lengths[k] - lengths[l]).min(total - lengths[k] + lengths[l]);
             let [one, other] = [places[k][0], places[l][0]];
-            let gap = norm([one[0] - other[0], one[1] - other[1], one[2] - other[2]]);
+            let gap = length([one[0] - other[0], one[1] - other[1], one[2] - other[2]]);
             (apart > std::f64::consts::PI * tube && gap < 2.0 * tube).then_some(gap)
         })
     });
@@ -459,7 +452,7 @@ pub fn knot(p: usize, q: usize, radii: [f64; 3], rows: usize, columns: usize) ->
             let k = lengths.partition_point(|&length| length <= wanted).clamp(1, samples) - 1;
             let t = (k as f64 + (wanted - lengths[k]) / (lengths[k + 1] - lengths[k])) * TAU / samples as f64;
             let [place, velocity, _, normal] = curve(t);
-            let along = scaled(velocity, 1.0 / norm(velocity));
+            let along = scaled(velocity, 1.0 / length(velocity));
             [place, normal, cross(along, normal)]
         })
         .collect();

@@ -363,7 +363,7 @@ impl<'a> Topology<'a> {
                     } else if turned[next] != wanted {
                         let [a, b] = self.edges[self.edge_of[half_edge as usize] as usize];
                         return Err(Error::Topology(format!(
-                            "the surface has one side only (like a Möbius band): its faces {face} and {next} cannot agree at the edge from vertex {a} to vertex {b}; laplacian=\"tufted\" works on such surfaces"
+                            "the surface has one side only (like a Möbius band): its faces {face} and {next} cannot agree at the edge from vertex {a} to vertex {b}; the tufted Laplacian works on such surfaces"
                         )));
                     }
                 }

@@ -7,6 +7,7 @@
 
 use crate::control::Control;
 use crate::error::{Error, Result};
+use crate::vector::{dot, length};
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::SymbolicSparseColMatRef;
 use faer::sparse::linalg::amd;
@@ -355,10 +356,6 @@ fn part(graph: &Graph, side: &[u8], which: u8, count: usize) -> Graph {
     result
 }
 
-fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
 /// Parallel planes: those at `low`, `low + 1 / steps`, ... along a direction.
 #[derive(Clone, Copy)]
 struct Planes {
@@ -370,7 +367,7 @@ struct Planes {
 impl Planes {
     /// The first plane beyond a point; BINS if it is beyond all.
     fn bin(&self, point: &[f64; 3]) -> u8 {
-        (((dot(point, &self.direction) - self.low) * self.steps + 1.0) as i32).clamp(0, BINS as i32) as u8
+        (((dot(*point, self.direction) - self.low) * self.steps + 1.0) as i32).clamp(0, BINS as i32) as u8
     }
 }
 
@@ -384,7 +381,7 @@ fn cut(graph: &Graph, widest: f64) -> Option<Vec<u8>> {
     let (mut along, mut bins) = (Vec::new(), Vec::new());
     for direction in directions(graph, &few) {
         along.clear();
-        along.extend(few.iter().map(|&vertex| dot(&graph.points[vertex], &direction)));
+        along.extend(few.iter().map(|&vertex| dot(graph.points[vertex], direction)));
         along.sort_unstable_by(f64::total_cmp);
         let quantile = |share: f64| along[((along.len() - 1) as f64 * share) as usize];
         let (low, high) = (quantile(0.38), quantile(0.62));
@@ -483,14 +480,14 @@ fn directions(graph: &Graph, sample: &[usize]) -> Vec<[f64; 3]> {
     // The longest direction of all, by a few powers of the spread.
     let mut longest = [0.6, 0.5, 0.7];
     for _ in 0..8 {
-        let image: [f64; 3] = std::array::from_fn(|p| dot(&spread[p], &longest));
-        let length = dot(&image, &image).sqrt();
+        let image: [f64; 3] = std::array::from_fn(|p| dot(spread[p], longest));
+        let length = length(image);
         if length > 0.0 {
             longest = image.map(|x| x / length);
         }
     }
     all.push(longest);
-    let extent = |d: &[f64; 3]| (0..3).map(|p| d[p] * dot(&spread[p], d)).sum::<f64>();
+    let extent = |d: &[f64; 3]| (0..3).map(|p| d[p] * dot(spread[p], *d)).sum::<f64>();
     all.sort_by(|a, b| extent(b).total_cmp(&extent(a)));
     let most = extent(&all[0]);
     all.retain(|d| extent(d) > 0.15 * most);

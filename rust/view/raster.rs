@@ -6,6 +6,7 @@ use super::{Balls, Camera, Colouring, Frame, Image, Lines, Projected, Rgb, Scene
 use crate::control::Control;
 use crate::error::{Error, Result};
 use crate::sparse::CHUNK;
+use crate::vector::{cross, length};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -97,10 +98,6 @@ fn linear4(colour: [f32; 4]) -> (Rgb, f32) {
     (linear_colour([colour[0], colour[1], colour[2]]), colour[3].clamp(0.0, 1.0))
 }
 
-fn cross(u: [f64; 3], v: [f64; 3]) -> [f64; 3] {
-    [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
-}
-
 fn prepare_surface<'a>(surface: &'a Surface<'a>, camera: &Camera) -> PreparedSurface<'a> {
     let vertex = |corner: u32| {
         let at = 3 * corner as usize;
@@ -128,7 +125,7 @@ fn prepare_surface<'a>(surface: &'a Surface<'a>, camera: &Camera) -> PreparedSur
         }
     }
     let direct = |v: &[f64; 3]| {
-        let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+        let length = length(*v);
         if length > 0.0 { camera.turn(v.map(|x| x / length)).map(|x| x as f32) } else { [0.0; 3] }
     };
     let table = match surface.colouring {
