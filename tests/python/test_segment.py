@@ -496,3 +496,15 @@ def test_an_empty_region_is_said_with_the_remedy():
     assert "region 1 is empty: at fidelity 0.5" in note
     assert "try 2" in note
     assert bt.segment(mesh, cap(mesh, 0.5), fidelity=40.0).notes == ()
+
+
+def test_an_image_with_holes_is_pointed_to_its_mask():
+    mesh = bt.shapes.sphere(3)
+    image = cap(mesh, 1.0)
+    image[[7, 9]] = np.nan
+    for method in (bt.segment, bt.denoise):
+        with pytest.raises(bt.InputError, match=r"image\[7\] is nan, one of 2 vertices .*mask=np.isfinite\(image\)$"):
+            method(mesh, image)
+        assert method(mesh, image, mask=np.isfinite(image)).converged
+    with pytest.raises(bt.InputError, match=r"all\(axis=1\)$"):
+        bt.segment(mesh, np.c_[image, image])

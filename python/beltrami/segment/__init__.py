@@ -139,7 +139,11 @@ def _image(image: Any, count: int, known: npt.NDArray[np.bool_] | None) -> Float
         raise InputError(f"image has shape {array.shape}; ({count},) or ({count}, channels) is needed")
     if array.shape[0] != count:
         raise InputError(f"image has {array.shape[0]} values, the shape has {count} vertices; give one (or one row) a vertex")
-    table = arrays.floats(array, "image", (count,) if array.ndim == 1 else (count, None), finite=known is None).reshape(count, -1)
+    table = arrays.floats(array, "image", (count,) if array.ndim == 1 else (count, None), finite=False).reshape(count, -1)
+    if known is None and not np.isfinite(table).all():
+        at, lacking = int(np.argwhere(~np.isfinite(table))[0][0]), int((~np.isfinite(table)).any(axis=1).sum())
+        remedy = f"replace it, or say where the image is known: mask=np.isfinite(image){'' if array.ndim == 1 else '.all(axis=1)'}"
+        raise InputError(f"image[{at}] is {array[at]}, one of {lacking} vertices without a number; {remedy}")
     if table.shape[1] == 0:
         raise InputError("image has no channels")
     if known is None or known.any():
