@@ -240,22 +240,24 @@ def plot(rows: dict[tuple[str, int], dict[str, str]], path: str) -> None:
 
     names = list(METHODS)
     starts = [names.index(first) for first in GROUPS.values()]
-    figure, axes = pyplot.subplots(2, 3, figsize=(17, 12), sharex=True, sharey=True)
+    figure, axes = pyplot.subplots(3, 2, figsize=(11, 15), sharex=True, sharey=True, layout="constrained")
     for axis, title, start, end in zip(axes.flat, GROUPS, starts, [*starts[1:], len(names)], strict=True):
         for at, name in enumerate(names[start:end]):
             points = sorted(answers(name, rows))
             slope = exponent(points)
             if slope is not None:
-                axis.loglog(*zip(*points, strict=True), "os^vD<>"[at % 7] + "-", ms=4, lw=1.2, label=f"{name}  {slope:.2f}")
+                look = {"marker": "os^vD<>"[at % 7], "color": f"C{at % 10}", "ls": ("-", "--")[at // 10], "ms": 5, "lw": 1.5}
+                axis.loglog(*zip(*points, strict=True), **look, label=f"{name}  {slope:.2f}")
         axis.set_title(title)
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=7, loc="upper left", title="and its exponent", title_fontsize=7, ncols=2, columnspacing=0.8, handlelength=1.5)
-        axis.set_ylim(1e-4, 1e5)
-    for axis in axes[1]:
+        axis.legend(fontsize=7.8, loc="upper left", ncols=2, columnspacing=0.6, handlelength=1.4, framealpha=0.9)
+        axis.set_ylim(1e-4, 1e6)
+    for axis in axes[-1]:
         axis.set_xlabel("vertices")
     for axis in axes[:, 0]:
         axis.set_ylabel("seconds of the processor")
-    figure.savefig(path, dpi=75, bbox_inches="tight")
+    figure.suptitle("Every method, with the exponent of its cost")
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:
