@@ -400,7 +400,7 @@ def test_a_factor_that_takes_over_gives_the_same_answer(tv, monkeypatch):
     image = np.stack([cap(mesh, 1.0, 0.3), cap(mesh, 0.5, 0.3, seed=1)], 1)
     answers = []
     for dear in (300, -1):
-        monkeypatch.setattr(sys.modules["beltrami.segment"], "FACTOR", dear)
+        monkeypatch.setattr(sys.modules["beltrami.segment.surface"], "FACTOR", dear)
         answers.append((bt.segment(mesh, image, fidelity=40.0, tv=tv), bt.denoise(mesh, image, fidelity=40.0, tv=tv, tolerance=1e-6)))
     (one, smooth), (two, smoother) = answers
     assert one.primal == pytest.approx(two.primal, rel=2e-4)

@@ -3,312 +3,39 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from .. import _core, arrays
-from ..arrays import Floats, Ints, csr_in
-from ..clouds import CloudOperators
-from ..errors import InputError, NumericalError
-from ..files import written
-from ..operators import Operators, operators
+from ..arrays import Floats
+from ..errors import InputError
+from ..operators import Operators
 from ..progress import GapWatch, Progress
-from ..results import save_result
-from ..shapes import PointCloud, Shape, TriangleMesh
-from ..simplices import hat_gradients, simplices
-from ..solvers import Cholesky, plus_diagonal
-from ..view import Page, Picture
-from .contours import cloud_contours
+from ..shapes import Shape
+from .denoising import DenoisingResult, denoise
+from .level_sets import contours, lines_of
+from .result import SegmentationResult
+from .surface import BALANCE, CHECK, RELAXATION, Surface, System, TotalVariation, balance, check_range, image_in, mask_in
 
 __all__ = ["DenoisingResult", "SegmentationResult", "contours", "denoise", "segment", "segment_path"]
 
-TotalVariation = Literal["isotropic", "edge"]
-
-RELAXATION = 1.8  # of 1 to 2; 1.9 and 1 take more sweeps
-CHECK = 10  # sweeps between two certificates
 PULL, SOFTEST = 3.0, 1 / 8  # what the nodes' penalty may be of the image's pull before κ is lowered for it, and how far at most
 STRENGTH = 10.0  # what it may be after that, before ρ is lowered
 SETTLED = 0.1  # share of the image's whole pull that the gap may be for the means to move
 HASTY = 100  # sweeps in which that is enough; later on they move when they are solved for, and regions of the same mean become one
-BALANCE = 50  # sweeps after which the penalty may be changed
-PENALTY = 9.0  # of denoising, for an image of standard deviation 1, in units of the spacing
-REDUCTION = 0.07  # of a linear system's residual, a sweep: less takes more sweeps, more buys none
-SOLVE, FACTOR = 20, 300  # steps of conjugate gradients that cost as much as a solve with a factor, as the factor
-
-
-# --- what both methods stand on ----------------------------------------------------------------------------------------------------
-
-
-class _Surface:
-    """A shape of unit area: its elements, stiffness and mass. ``length`` is the user's length of one unit."""
-
-    def __init__(self, shape: Shape | Operators, tv: TotalVariation) -> None:
-        ops = self.operators = operators(shape)
-        arrays.word(tv, "tv", get_args(TotalVariation))
-        corners, sides, areas = simplices(ops)
-        dimension = corners.shape[1] - 1
-        if dimension not in (1, 2, 3):
-            raise InputError(f"total variation is there for surfaces and volumes; this shape has dimension {dimension}")
-        total = float(ops.mass.sum())
-        self.tv, self.count = tv, len(ops.mass)
-        self.length = total ** (1 / dimension)
-        self.mass = ops.mass / total
-        self.weights = np.where(self.mass > 0, self.mass, 1 / self.count)  # of the splitting only: vertices of no triangle take part
-        self.corners, self.areas, sides = corners, areas / total, sides / self.length
-        if tv == "isotropic":
-            hats, self.frames = hat_gradients(sides)
-            self.elements = _core.Elements(self.count, corners, hats, np.ascontiguousarray(self.areas))
-            self.stiffness = scipy.sparse.csr_array(ops.stiffness * (self.length**2 / total))
-            self.spacing = (1 / np.count_nonzero(ops.mass)) ** (1 / dimension)
-        else:
-            if dimension != 2:
-                raise InputError(f"tv='edge' is there for surfaces; this shape has dimension {dimension}")
-            self.edges, lengths, beside = _edges(corners, sides, self.areas)
-            weights = np.pi / 2 * beside  # of the slope along an edge: Cauchy-Crofton
-            self.elements = _core.Elements(self.count, self.edges, 1 / lengths[:, None], weights)
-            a, b = self.edges.T
-            w = weights / lengths**2
-            graph = scipy.sparse.coo_array((np.r_[-w, -w, w, w], (np.r_[a, b, a, b], np.r_[b, a, a, b])), shape=(self.count, self.count))
-            self.stiffness = scipy.sparse.csr_array(graph)
-            self.spacing = float(lengths.mean())
-
-    def fields(self, dual: Floats, channels: int) -> Floats:
-        """The dual field in the user's coordinates: (m, D), or (m, channels, D); (edges,) or (edges, channels) for tv="edge"."""
-        if self.tv == "edge":
-            return dual[:, 0].copy() if channels == 1 else dual.copy()
-        local = dual.reshape(len(dual), channels, -1)
-        turned: Floats = np.einsum("mca,mad->mcd", local, self.frames)
-        return turned[:, 0] if channels == 1 else turned
-
-
-class _System:
-    """``(L + D) x = b`` with the stiffness L and a diagonal D, solved every sweep for a right-hand side that hardly changes.
-
-    Conjugate gradients from the last x take a few steps, far fewer than a factor costs. Where they take many (a mesh of very
-    unequal triangles, a D of little weight) and a factor would have paid, it is made, and kept from then on.
-    """
-
-    def __init__(self, surface: _Surface, diagonal: Floats) -> None:
-        self.surface, self.debt = surface, 0
-        self.factor: Cholesky | None = None
-        self.change(diagonal)
-
-    def change(self, diagonal: Floats) -> None:
-        self.matrix = plus_diagonal(self.surface.stiffness, diagonal)
-        if self.factor is None:
-            self.iteration = _core.Conjugate(csr_in(self.matrix, "the matrix"))
-        else:
-            self.factor.refactor(self.matrix)
-
-    def solve(self, right: Floats, x: Floats) -> None:
-        """Moves x to the solution, or towards it as far as a sweep needs."""
-        if self.factor is None:
-            try:
-                self.debt += self.iteration.improve(right, x, REDUCTION, 5 * SOLVE) - SOLVE
-            except NumericalError:  # a factor copes, or says what is wrong
-                self.debt = FACTOR + 1
-            self.debt = max(self.debt, 0)
-            if self.debt <= FACTOR:
-                return
-            self.factor = Cholesky(self.matrix, self.surface.operators.coordinates)
-        self.factor.solve(right, out=x)
-
-
-def _edges(corners: Ints, sides: Floats, areas: Floats) -> tuple[Ints, Floats, Floats]:
-    """Edges (e, 2), their lengths, and a third of the areas beside each."""
-    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    vectors = np.concatenate([sides[:, 0], sides[:, 1] - sides[:, 0], sides[:, 1]])
-    kept = np.tile(areas, 3) / 3
-    proper = pairs[:, 0] != pairs[:, 1]
-    pairs, vectors, kept = np.sort(pairs[proper], axis=1).astype(np.int64), vectors[proper], kept[proper]
-    _, first, where = np.unique(pairs[:, 0] << 32 | pairs[:, 1], return_index=True, return_inverse=True)
-    return pairs[first].astype(np.int32), np.linalg.norm(vectors[first], axis=1), np.bincount(where, kept).astype(np.float64)
-
-
-def _image(image: Any, count: int, known: npt.NDArray[np.bool_] | None) -> Floats:
-    """(n, channels), finite wherever it is known; 0 elsewhere."""
-    array = arrays.anything(image, "image")
-    if array.ndim not in (1, 2):
-        raise InputError(f"image has shape {array.shape}; ({count},) or ({count}, channels) is needed")
-    if array.shape[0] != count:
-        raise InputError(f"image has {array.shape[0]} values, the shape has {count} vertices; give one (or one row) a vertex")
-    table = arrays.floats(array, "image", (count,) if array.ndim == 1 else (count, None), finite=False).reshape(count, -1)
-    if known is None and not np.isfinite(table).all():
-        at, lacking = int(np.argwhere(~np.isfinite(table))[0][0]), int((~np.isfinite(table)).any(axis=1).sum())
-        remedy = f"replace it, or say where the image is known: mask=np.isfinite(image){'' if array.ndim == 1 else '.all(axis=1)'}"
-        raise InputError(f"image[{at}] is {array[at]}, one of {lacking} vertices without a number; {remedy}")
-    if table.shape[1] == 0:
-        raise InputError("image has no channels")
-    if known is None or known.any():
-        most = float(np.abs(table if known is None else np.nan_to_num(table[known], posinf=0.0, neginf=0.0)).max())
-        if most > 1e100:
-            raise InputError(f"image has values up to {most:.3g}; divide it by some unit so that they stay below 1e100")
-    if known is not None:
-        table = table.copy()
-        table[~known] = 0.0
-        if not np.isfinite(table).all():
-            where = int(np.argwhere(~np.isfinite(table))[0, 0])
-            raise InputError(f"image[{where}] is not finite although the mask says that it is known; set mask[{where}] to False")
-    return table
-
-
-def _in_range(weight: float, what: str) -> None:
-    """Refuses a problem whose two terms are too far apart for double precision."""
-    if not 1e-9 <= weight <= 1e9:
-        raise InputError(f"{what} is {weight:.3g}; from 1e-9 to 1e9 can be solved, so choose another fidelity or rescale the image")
-
-
-def _mask(mask: Any, count: int) -> npt.NDArray[np.bool_] | None:
-    if mask is None:
-        return None
-    known = arrays.anything(mask, "mask")
-    if known.dtype.kind != "b" or known.shape != (count,):
-        raise InputError(
-            f"mask has dtype {known.dtype} and shape {known.shape}; ({count},) booleans are needed, True where the image is known"
-        )
-    if not known.any():
-        raise InputError("mask is False everywhere; the image must be known somewhere")
-    return known.copy()
-
-
-# --- segmentation ------------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SegmentationResult:
-    """Regions of an image on a surface, and how far from the best they can be at most.
-
-    Attributes
-    ----------
-    shape : TriangleMesh or PointCloud
-    labels : ndarray (n,) of int32
-        Region of each vertex. With two regions 1 is where ``phi > 1/2``, otherwise it is the largest of the memberships.
-    phi : ndarray (n,), or (n, regions) for more than two
-        Memberships, exactly from 0 to 1: the certified answer of the convex problem.
-    means : ndarray (regions, channels)
-        Area-weighted averages of the image over the labels, or those that were given.
-    areas : ndarray (regions,)
-        Area of each label, in squared units of length; they sum to the area of the shape.
-    contours : list of ndarray (k, D)
-        Polylines on the surface where phi is 1/2 (where a region's membership passes the others'), the greater side to the left;
-        closed ones repeat their first point.
-    contour_length : float
-        Their total length in units of length; where two regions of many meet, counted once.
-    primal, dual, gap : float
-        Value reached, a lower bound of all values, and ``(primal - dual) / |primal|``, for a surface of unit area.
-    threshold_energy, excess : float
-        Value of the labels themselves (memberships 0 and 1), and ``(threshold_energy - dual) / |primal|``. With ``tv="edge"`` the
-        excess tends to zero; with isotropic total variation a percent is usual, because triangles make the labels' outline jagged.
-    dual_field : ndarray (m, D), (m, regions, D) for more than two, or (edges,) for ``tv="edge"``
-        Tangent vectors of length at most 1 (1/2 for more than two regions) that prove the bound. On intrinsic triangulations in frames.
-    fidelity : float
-    iterations : int
-    converged : bool
-        Whether the gap reached the tolerance.
-    history : dict of str to ndarray
-        ``iteration``, ``primal``, ``dual``, ``gap`` at each certificate.
-    """
-
-    shape: Shape
-    labels: Ints
-    phi: Floats
-    means: Floats
-    areas: Floats
-    contours: list[Floats]
-    contour_length: float
-    primal: float
-    dual: float
-    gap: float
-    threshold_energy: float
-    excess: float
-    dual_field: Floats
-    fidelity: float
-    iterations: int
-    converged: bool
-    history: dict[str, npt.NDArray[Any]]
-
-    def __repr__(self) -> str:
-        state = "" if self.converged else ", NOT CONVERGED"
-        return f"SegmentationResult({len(self.means)} regions, gap {self.gap:.1e} after {self.iterations} iterations{state})"
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was noticed: regions that are empty, because no part of the image is worth its boundary at this fidelity."""
-        empty = np.flatnonzero(self.areas == 0)
-        if not len(empty):
-            return ()
-        which = f"region {empty[0]} is" if len(empty) == 1 else f"regions {', '.join(map(str, empty))} are"
-        return (
-            f"{which} empty: at fidelity {self.fidelity:.4g} a boundary costs more than the image gains by it; try {4 * self.fidelity:.4g}",
-        )
-
-    def plot(self, image: Any = None, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
-        """Paints the labels (or an image) with the contours over them; the options are those of :func:`beltrami.plot`."""
-        from ..view import plot
-
-        drawn = {"lines": self.contours or None, **options}
-        return plot(self.shape, self.labels if image is None else image, path=path, **drawn)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes everything to ``.npz``; the shape with labels and memberships to ``.ply``; a picture to ``.png`` or ``.html``;
-        the contours to ``.obj`` (lines), or to ``.csv`` (line, closed, coordinates). :meth:`save_contours` writes them to ``.ply``.
-        """
-        kinds = {".obj": self.save_contours, ".csv": self.save_contours}
-        return save_result(self, path, "a segmentation is", kinds, values=("labels", "phi"))
-
-    def save_contours(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the contours: ``.obj`` with lines, ``.ply`` with vertices and edges, ``.csv`` with a point a row."""
-        path = arrays.file(path, "path")
-        suffix = path.suffix.lower()
-        points, number = _stack(self), 0
-        if suffix in (".obj", ".ply") and points.shape[1] > 3:
-            raise InputError(f"{path}: {suffix} holds points of R^3, these lie in R^{points.shape[1]}; write .csv")
-        out: list[str] = []
-        if suffix == ".csv":
-            out.append(",".join(["line", "closed", *(f"x{axis}" for axis in range(points.shape[1]))]))
-            for at, line in enumerate(self.contours):
-                closed = int(np.array_equal(line[0], line[-1]))
-                out += [",".join([str(at), str(closed), *map(repr, row)]) for row in line.tolist()]
-        elif suffix == ".obj":
-            spatial = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-            out += [f"v {x!r} {y!r} {z!r}" for x, y, z in spatial.tolist()]
-            for line in self.contours:
-                out.append("l " + " ".join(str(number + k + 1) for k in range(len(line))))
-                number += len(line)
-        elif suffix == ".ply":
-            spatial = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-            edges = len(points) - len(self.contours)
-            out += ["ply", "format ascii 1.0", f"element vertex {len(points)}", *(f"property double {axis}" for axis in "xyz")]
-            out += [f"element edge {edges}", "property int vertex1", "property int vertex2", "end_header"]
-            out += [f"{x!r} {y!r} {z!r}" for x, y, z in spatial.tolist()]
-            for line in self.contours:
-                out += [f"{number + k} {number + k + 1}" for k in range(len(line) - 1)]
-                number += len(line)
-        else:
-            raise InputError(f"{path}: contours are written to .obj, .ply or .csv")
-        written(path, lambda stream: stream.write(("\n".join(out) + "\n").encode()))
-        return path
-
-
-def _stack(result: SegmentationResult) -> Floats:
-    return np.concatenate([result.shape.coordinates[:0], *result.contours])
 
 
 class _Segmenter:
     """The splitting of one surface and image: one linear system for all fidelities, and the state that the next one starts from."""
 
     def __init__(self, shape: Shape | Operators, image: Any, regions: int, means: Any, mask: Any, tv: TotalVariation) -> None:
-        surface = self.surface = _Surface(shape, tv)
+        surface = self.surface = Surface(shape, tv)
         count = surface.count
-        known = _mask(mask, count)
-        self.image = _image(image, count, known)
+        known = mask_in(mask, count)
+        self.image = image_in(image, count, known)
         self.known = (np.ones(count, bool) if known is None else known) & (surface.mass > 0)
         self.data_mass = surface.mass * self.known
         self.regions = arrays.whole(regions, "regions", 2, 1000)
@@ -319,7 +46,7 @@ class _Segmenter:
         # Penalty and ratio for which the sweeps hardly depend on the size of the mesh: ρ in units of the spacing, κ of its inverse square.
         self.penalty = 1.5 * surface.spacing
         self.ratio = self.softened = 0.35 / surface.spacing**2
-        self.system: _System | None = None
+        self.system: System | None = None
         self.split: list[Floats] | None = None
 
     def _given(self, means: Any) -> Floats:
@@ -401,12 +128,12 @@ class _Segmenter:
     def run(self, fidelity: float, tolerance: float, most: int, watch: GapWatch) -> SegmentationResult:
         surface, elements, mass = self.surface, self.surface.elements, self.surface.mass[:, None]
         channels, radius = (1, 1.0) if self.regions == 2 else (self.regions, 0.5)
-        shape = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if surface.tv == "isotropic" else 1))
+        shape = surface.table(channels)
         means, weights = self.means, surface.weights
         with np.errstate(over="ignore"):
             cost = self._cost(means, fidelity)
         top = float(np.abs(cost).max())
-        _in_range(top, "fidelity times the squared contrast")
+        check_range(top, "fidelity times the squared contrast")
         scale = float((mass * np.abs(cost)).sum())
         if self.split is None:
             z = (cost < 0).astype(float) if channels == 1 else (cost == cost.min(1, keepdims=True)).astype(float)
@@ -422,7 +149,7 @@ class _Segmenter:
 
         ratio = self.ratio * float(np.clip(PULL * pull(cost) / (self.penalty * self.ratio), SOFTEST, 1.0))
         if self.system is None:
-            self.system = _System(surface, ratio * weights)
+            self.system = System(surface, ratio * weights)
         elif ratio != self.softened:
             self.system.change(ratio * weights)
         system, self.softened = self.system, ratio
@@ -494,7 +221,7 @@ class _Segmenter:
             factor = 1.0 if fitted / 2 <= fit <= 2 * fitted else fit / fitted
             fitted = fitted if factor == 1.0 else fit
             if sweep % BALANCE == 0:
-                factor *= _balance(missed + ratio * off, moved + ratio * shifted)
+                factor *= balance(missed + ratio * off, moved + ratio * shifted)
             if factor != 1.0:
                 penalty *= factor
                 restart()
@@ -553,12 +280,12 @@ class _Segmenter:
         energy = radius * surface.elements.total_variation(corners, False) + float((surface.mass[:, None] * cost * corners).sum())
         _, primal, dual, gap = history[-1]
         if self.regions == 2:
-            lines, length = _lines(surface, found[:, 0], 0.5)
+            lines, length = lines_of(surface, found[:, 0], 0.5)
         else:
             lines, length = [], 0.0
             for region in range(self.regions):
                 others = np.delete(found, region, axis=1).max(1)
-                some, long = _lines(surface, found[:, region] - others, 0.0)
+                some, long = lines_of(surface, found[:, region] - others, 0.0)
                 lines, length = lines + some, length + 0.5 * long
         columns = [np.array(column) for column in zip(*history, strict=True)]
         return SegmentationResult(
@@ -582,85 +309,10 @@ class _Segmenter:
         )
 
 
-def elements_count(surface: _Surface) -> int:
-    """Elements of the surface's total variation: simplices, or edges."""
-    return len(surface.edges) if surface.tv == "edge" else len(surface.corners)
-
-
 def _spread(values: npt.NDArray[Any], where: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
     out = np.zeros(len(where), np.intp)
     out[where] = values
     return out
-
-
-def _balance(primal: float, dual: float) -> float:
-    """Factor of the penalty where one squared residual is far above the other (He, Yang and Wang 2000)."""
-    if primal / 100 > dual:
-        return 2.0
-    if dual / 100 > primal:
-        return 0.5
-    return 1.0
-
-
-def _lines(surface: _Surface, values: Floats, level: float) -> tuple[list[Floats], float]:
-    """Contours in the user's units, and their length."""
-    shape = surface.operators.shape
-    if isinstance(shape, TriangleMesh):
-        found = contours(shape, values, level=level)
-        return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
-    if surface.corners.shape[1] != 3 or not isinstance(surface.operators, CloudOperators):
-        return [], 0.0
-    # A cloud's triangles count by their votes; lines run over those that most of their corners see.
-    ops = surface.operators
-    faces = np.ascontiguousarray(ops.simplices[ops.votes >= 2])
-    found = _polylines(_core.level_set((shape.points, faces), np.ascontiguousarray(values), level))
-    return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
-
-
-def _polylines(parts: tuple[Floats, Ints, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]) -> list[Floats]:
-    points, _, _, starts, _ = parts
-    return [points[a:b].copy() for a, b in itertools.pairwise(starts)]
-
-
-def contours(shape: Shape | Operators, values: npt.ArrayLike, *, level: float = 0.5) -> list[Floats]:
-    """Where a piecewise-linear function on a surface takes a level: ordered polylines.
-
-    Parameters
-    ----------
-    shape : TriangleMesh, PointCloud or Operators
-        Of a surface. On clouds the function is linear on the triangles of the local mesh: those with more votes go first, and ends
-        that are left within two edge lengths, where stars disagree, are joined.
-    values : array_like (n,)
-        A vertex counts as above where its value is greater than the level.
-    level : float
-
-    Returns
-    -------
-    list of ndarray (k, D)
-        Points on edges, in units of length; the greater side to the left of a consistently oriented mesh. Closed polylines repeat
-        their first point; others end at a boundary, or where more than two triangles share an edge.
-
-    Raises
-    ------
-    InputError
-        Not one finite value a vertex.
-
-    Examples
-    --------
-    >>> import numpy as np, beltrami as bt
-    >>> sphere = bt.shapes.sphere(5)
-    >>> (line,) = bt.contours(sphere, sphere.vertices[:, 2], level=0.6)
-    >>> length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
-    >>> bool(abs(length / (2 * np.pi * 0.8) - 1) < 1e-3)
-    True
-    """
-    if isinstance(shape, PointCloud | CloudOperators):
-        return cloud_contours(shape, values, arrays.number(level, "level"))
-    mesh = shape.shape if isinstance(shape, Operators) else shape
-    if not isinstance(mesh, TriangleMesh):
-        raise InputError(f"contours are there on a TriangleMesh or a PointCloud, not on a {type(mesh).__name__}")
-    numbers = arrays.floats(values, "values", (len(mesh.vertices),))
-    return _polylines(_core.level_set((mesh.vertices, mesh.faces), numbers, arrays.number(level, "level")))
 
 
 def segment(
@@ -805,205 +457,3 @@ def segment_path(
         if not segmenter.given and not populated.all():
             segmenter.means = segmenter.start  # a region died out: the next fidelity begins with all of them
     return results
-
-
-# --- denoising ---------------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class DenoisingResult:
-    """A denoised image, and how far from the best it can be at most.
-
-    Attributes
-    ----------
-    shape : TriangleMesh or PointCloud
-    image : ndarray (n,) or (n, channels)
-    primal, dual, gap : float
-        Value reached, a lower bound of all values, and ``(primal - dual) / primal``, for a surface of unit area.
-    dual_field : ndarray (m, D), (m, channels, D), or (edges,), (edges, channels) for ``tv="edge"``
-        Of length at most 1; it proves the bound.
-    fidelity : float
-    iterations : int
-    converged : bool
-    history : dict of str to ndarray
-        ``iteration``, ``primal``, ``dual``, ``gap`` at each certificate.
-    """
-
-    shape: Shape
-    image: Floats
-    primal: float
-    dual: float
-    gap: float
-    dual_field: Floats
-    fidelity: float
-    iterations: int
-    converged: bool
-    history: dict[str, npt.NDArray[Any]]
-
-    def __repr__(self) -> str:
-        state = "" if self.converged else ", NOT CONVERGED"
-        return f"DenoisingResult(gap {self.gap:.1e} after {self.iterations} iterations{state})"
-
-    def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
-        """Paints the image; three channels count as colours. The options are those of :func:`beltrami.plot`."""
-        from ..view import plot
-
-        values: Any = self.image
-        if values.ndim == 2 and values.shape[1] == 3 and values.min() >= -0.01 and values.max() <= 1.01:
-            values = np.clip(values, 0, 1)
-        elif values.ndim == 2:
-            values = {f"channel {k}": channel for k, channel in enumerate(values.T)}
-        return plot(self.shape, values, path=path, **options)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes everything to ``.npz``, the shape with the image to ``.ply``, a picture to ``.png`` or ``.html``."""
-        return save_result(self, path, "a denoised image is", values=("image",))
-
-
-def denoise(
-    shape: Shape | Operators,
-    image: npt.ArrayLike,
-    *,
-    fidelity: float = 100.0,
-    mask: npt.ArrayLike | None = None,
-    tv: TotalVariation = "isotropic",
-    tolerance: float = 1e-4,
-    max_iterations: int = 2000,
-    progress: Progress = None,
-) -> DenoisingResult:
-    """Denoise an image on a surface by total variation (Rudin, Osher and Fatemi [1]_), colour and other channels together [2]_.
-
-    ``∫ |grad u| + fidelity / 2 ∫ |u - I|²`` over the surface scaled to unit area, |·| the Frobenius norm over the channels. Edges
-    stay sharp, each piece keeps its mean, and ``dual`` proves how close to the minimum the answer is.
-
-    Parameters
-    ----------
-    shape : TriangleMesh, PointCloud or Operators
-    image : array_like (n,) or (n, channels)
-    fidelity : float
-        Larger stays nearer to the image; in units of one over the image's. A round patch of height a and radius R (unit area) survives
-        if ``fidelity > 2 / (a R)``.
-    mask : array_like (n,) of bool, optional
-        True where the image is known. Elsewhere it may hold NaN and is filled in, within the range of the known values.
-    tv : {"isotropic", "edge"}
-        As for :func:`segment`; "edge" sums over the edges.
-    tolerance : float
-        Relative gap to stop at.
-    max_iterations : int
-    progress : bool or callable, optional
-
-    Returns
-    -------
-    DenoisingResult
-        With ``converged=False`` if the gap was not reached.
-
-    Raises
-    ------
-    InputError
-        The image does not fit the shape or is not finite; an option is out of range; a piece of the shape has no known value.
-
-    References
-    ----------
-    .. [1] L. Rudin, S. Osher, E. Fatemi, Nonlinear total variation based noise removal algorithms, 1992.
-    .. [2] P. Blomgren, T. Chan, Color TV: total variation methods for restoration of vector-valued images, 1998.
-
-    Examples
-    --------
-    >>> import numpy as np, beltrami as bt
-    >>> sphere = bt.shapes.sphere(4)
-    >>> clean = (sphere.vertices[:, 2] > 0.3).astype(float)
-    >>> noisy = clean + 0.3 * np.random.default_rng(0).normal(size=len(clean))
-    >>> u = bt.denoise(sphere, noisy, fidelity=80.0)
-    >>> u.converged, bool(np.abs(u.image - clean).mean() < 0.3 * np.abs(noisy - clean).mean())
-    (True, True)
-    """
-    fidelity = arrays.number(fidelity, "fidelity", above=0)
-    tolerance = arrays.number(tolerance, "tolerance", above=0)
-    most = arrays.whole(max_iterations, "max_iterations", 1)
-    surface = _Surface(shape, tv)
-    known = _mask(mask, surface.count)
-    data = _image(image, surface.count, known)
-    flat = np.ndim(image) == 1
-    everywhere = known is None
-    known = np.ones(surface.count, bool) if known is None else known
-    pieces = surface.operators.component_labels
-    blind = np.flatnonzero(np.bincount(pieces, known) == 0)
-    if len(blind):
-        at = int(np.flatnonzero(pieces == blind[0])[0])
-        raise InputError(f"the piece of the shape with vertex {at} has no known value; take it out or make its mask True somewhere")
-    # The image's deviation is the unit of its values, so that one penalty fits all.
-    low, high = data[known].min(0), data[known].max(0)
-    share = surface.mass[known] / max(surface.mass[known].sum(), 1e-300)
-    centre = share @ data[known]
-    span = float((high - low).max())
-    unit = span * float(np.sqrt(share @ np.square((data[known] - centre) / span).sum(1))) if span > 0 else 0.0
-    if unit <= 0:
-        empty = np.zeros((elements_count(surface), data.shape[1] * (surface.corners.shape[1] - 1 if tv == "isotropic" else 1)))
-        filled = np.where(known[:, None], data, low)
-        history: dict[str, npt.NDArray[Any]] = {name: np.zeros(0) for name in ("iteration", "primal", "dual", "gap")}
-        fields = surface.fields(empty, data.shape[1])
-        return DenoisingResult(surface.operators.shape, filled[:, 0] if flat else filled, 0.0, 0.0, 0.0, fields, fidelity, 0, True, history)
-    target = (data - centre) / unit * known[:, None]
-    least, greatest = (low - centre) / unit, (high - centre) / unit
-    weight = fidelity * unit
-    _in_range(weight, "fidelity times the image's deviation")
-    mass = surface.mass[:, None]
-    loose = surface.mass == 0  # they keep their values
-    pull = weight * surface.mass * known + loose * (weight / surface.count)
-    elements, channels = surface.elements, data.shape[1]
-    penalty = PENALTY * surface.spacing
-    shape_of = (elements_count(surface), channels * (surface.corners.shape[1] - 1 if tv == "isotropic" else 1))
-    w, p = np.zeros(shape_of), np.zeros(shape_of)
-    u, right, flux = np.zeros_like(target), np.zeros_like(target), np.zeros_like(target)
-    system = _System(surface, pull / penalty)
-    watch = GapWatch(progress, "denoise", tolerance)
-    steps: list[tuple[int, float, float, float]] = []
-    converged, sweep, best = False, 0, target
-    for sweep in range(1, most + 1):
-        right += pull[:, None] / penalty * target
-        system.solve(right, u)  # (L + μ M / ρ) u = G^T A (W - B) + μ M I / ρ
-        missed, moved = elements.shrink(u, w, p, right, True, 1.0, penalty, RELAXATION)
-        if sweep % CHECK and sweep != most:
-            continue
-        elements.flux(p, flux)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            drop = np.where(mass > 0, flux / (weight * mass), 0.0)
-        free = (flux * np.where(flux > 0, least, greatest))[~known].sum()
-        dual = float((flux * target)[known].sum() - 0.5 * (flux * drop)[known].sum() + free)
-        # each piece has the mean of its image, and that is best, however well the system was solved
-        offsets = np.stack([np.bincount(pieces, pull * channel) for channel in (u - target).T], 1) / np.bincount(pieces, pull)[:, None]
-        inside = u - offsets[pieces]
-        if not everywhere:
-            inside[~known] = np.clip(inside[~known], least, greatest)
-        choices = [inside, np.where(known[:, None], target - drop, inside)]
-        values = [
-            elements.total_variation(choice, True) + 0.5 * weight * float((mass * np.square(choice - target))[known].sum())
-            for choice in choices
-        ]
-        primal, best = min(values), choices[int(np.argmin(values))]
-        gap = (primal - dual) / max(primal, 1e-300)
-        steps.append((sweep, unit * primal, unit * dual, gap))
-        watch(gap, sweep / most)
-        if gap <= tolerance:
-            converged = True
-            break
-        if sweep % BALANCE == 0:
-            change = _balance(missed, moved)
-            if change != 1.0:
-                penalty *= change
-                system.change(pull / penalty)
-                elements.flux(w - p / penalty, right)
-    answer = best * unit + centre
-    columns = [np.array(column) for column in zip(*steps, strict=True)]
-    return DenoisingResult(
-        shape=surface.operators.shape,
-        image=answer[:, 0].copy() if flat else answer,
-        primal=steps[-1][1],
-        dual=steps[-1][2],
-        gap=steps[-1][3],
-        dual_field=surface.fields(p, channels),
-        fidelity=fidelity,
-        iterations=sweep,
-        converged=converged,
-        history=dict(zip(("iteration", "primal", "dual", "gap"), columns, strict=True)),
-    )

@@ -1,19 +1,83 @@
-"""Level sets of functions on clouds, as polylines."""
+"""Level sets of functions on meshes and clouds, as polylines."""
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 import numpy.typing as npt
 
-from .. import arrays
-from ..arrays import Floats
+from .. import _core, arrays
+from ..arrays import Floats, Ints
 from ..clouds import CloudOperators
 from ..errors import InputError
 from ..near import nearest_neighbors
-from ..operators import operators
-from ..shapes import PointCloud
+from ..operators import Operators, operators
+from ..shapes import PointCloud, Shape, TriangleMesh
+from .surface import Surface
 
 Edge = tuple[int, int]
+
+
+def lines_of(surface: Surface, values: Floats, level: float) -> tuple[list[Floats], float]:
+    """Contours in the user's units, and their length."""
+    shape = surface.operators.shape
+    if isinstance(shape, TriangleMesh):
+        found = contours(shape, values, level=level)
+        return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
+    if surface.corners.shape[1] != 3 or not isinstance(surface.operators, CloudOperators):
+        return [], 0.0
+    # A cloud's triangles count by their votes; lines run over those that most of their corners see.
+    ops = surface.operators
+    faces = np.ascontiguousarray(ops.simplices[ops.votes >= 2])
+    found = polylines(_core.level_set((shape.points, faces), np.ascontiguousarray(values), level))
+    return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
+
+
+def polylines(parts: tuple[Floats, Ints, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]) -> list[Floats]:
+    points, _, _, starts, _ = parts
+    return [points[a:b].copy() for a, b in itertools.pairwise(starts)]
+
+
+def contours(shape: Shape | Operators, values: npt.ArrayLike, *, level: float = 0.5) -> list[Floats]:
+    """Where a piecewise-linear function on a surface takes a level: ordered polylines.
+
+    Parameters
+    ----------
+    shape : TriangleMesh, PointCloud or Operators
+        Of a surface. On clouds the function is linear on the triangles of the local mesh: those with more votes go first, and ends
+        that are left within two edge lengths, where stars disagree, are joined.
+    values : array_like (n,)
+        A vertex counts as above where its value is greater than the level.
+    level : float
+
+    Returns
+    -------
+    list of ndarray (k, D)
+        Points on edges, in units of length; the greater side to the left of a consistently oriented mesh. Closed polylines repeat
+        their first point; others end at a boundary, or where more than two triangles share an edge.
+
+    Raises
+    ------
+    InputError
+        Not one finite value a vertex.
+
+    Examples
+    --------
+    >>> import numpy as np, beltrami as bt
+    >>> sphere = bt.shapes.sphere(5)
+    >>> (line,) = bt.contours(sphere, sphere.vertices[:, 2], level=0.6)
+    >>> length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
+    >>> bool(abs(length / (2 * np.pi * 0.8) - 1) < 1e-3)
+    True
+    """
+    if isinstance(shape, PointCloud | CloudOperators):
+        return cloud_contours(shape, values, arrays.number(level, "level"))
+    mesh = shape.shape if isinstance(shape, Operators) else shape
+    if not isinstance(mesh, TriangleMesh):
+        raise InputError(f"contours are there on a TriangleMesh or a PointCloud, not on a {type(mesh).__name__}")
+    numbers = arrays.floats(values, "values", (len(mesh.vertices),))
+    return polylines(_core.level_set((mesh.vertices, mesh.faces), numbers, arrays.number(level, "level")))
 
 
 def cloud_contours(shape: PointCloud | CloudOperators, values: npt.ArrayLike, height: float) -> list[Floats]:
