@@ -136,7 +136,7 @@ def test_a_million_vertices(name):
 def test_every_method_is_measured():
     """What is public and works on shapes has its row."""
     measured = {name.split(",")[0] for name in methods.METHODS}
-    others = {"num_threads", "set_num_threads", "reweight"}  # no work on a shape
+    others = {"num_threads", "set_num_threads", "reweight", "load_values"}  # no work on a shape
     others |= {"load", "save", "point_map_of", "functional_map_of"}  # "save and load", "functional_map_of and back"
     makers = {name for name in bt.__all__ if name[0].islower() and callable(getattr(bt, name))} - others
     assert [name for name in sorted(makers) if name not in measured] == []
