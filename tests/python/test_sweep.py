@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import beltrami as bt
@@ -132,6 +134,18 @@ def _two_densities(shape: Any, rng: np.random.Generator) -> tuple[np.ndarray, np
     return a / (mass @ a), b / (mass @ b)
 
 
+def _pair(shape: Any) -> tuple[Any, Any]:
+    """A cloud beside a cloud, a mesh beside a mesh: a torus."""
+    torus = bt.shapes.torus(rows=9, columns=7)
+    return shape, bt.PointCloud(torus.vertices, dimension=2) if isinstance(shape, bt.PointCloud) else torus
+
+
+def _read_again(shape: Any) -> Any:
+    with tempfile.TemporaryDirectory() as folder:
+        bt.save(shape, Path(folder) / "shape.ply")
+        return bt.load(Path(folder) / "shape.ply")
+
+
 def _values(shape: Any, rng: np.random.Generator) -> np.ndarray:
     return rng.normal(size=len(places(shape)))
 
@@ -174,9 +188,26 @@ METHODS: dict[str, Callable[[Any, np.random.Generator], Any]] = {
     "closest_points": lambda s, rng: bt.closest_points(s, rng.normal(size=(9, places(s).shape[1]))),
     "intersect_rays": lambda s, rng: bt.intersect_rays(s, rng.normal(size=(9, 3)), rng.normal(size=(9, 3))),
     "sample_density": lambda s, rng: bt.sample_density(s),
+    "segment_path": lambda s, rng: bt.segment_path(s, _values(s, rng), fidelities=[3.0, 10.0], max_iterations=20),
+    "spherical_map, Cayley": lambda s, rng: bt.spherical_map(s, method="cayley", max_iterations=20),
+    "transport, projected gradient": lambda s, rng: bt.transport(s, *_two_densities(s, rng), method="projected_gradient", **QUICK),
+    "register, alike": lambda s, rng: bt.register(*_pair(s), modes=12, samples=40),
+    "register, rswd": lambda s, rng: bt.register(*_pair(s), method="rswd", modes=12, samples=40, polish=False),
+    "committor, strong": lambda s, rng: bt.committor(s, _values(s, rng), [0], [len(places(s)) - 1], beta=1.0, method="strong"),
+    "reweight": lambda s, rng: bt.reweight(places(s)[:, 0], np.where(np.arange(len(places(s))) % 2, 1.0, 2.0), 1.5),
+    "neighbors_within": lambda s, rng: bt.neighbors_within(s, s, 0.7),
+    "functional_map_of": lambda s, rng: bt.functional_map_of(rng.integers(63, size=len(places(s))), *_pair(s), k=6),
+    "point_map_of": lambda s, rng: bt.point_map_of(rng.normal(size=(6, 6)), *_pair(s)),
+    "evaluate_map": lambda s, rng: bt.evaluate_map(rng.integers(63, size=len(places(s))), *_pair(s), truth=np.zeros(len(places(s)), int)),
+    "transfer": lambda s, rng: bt.transfer(
+        rng.integers(63, size=len(places(s))), _values(s, rng), direction="to_target", target=_pair(s)[1]
+    ),
+    "save and load": lambda s, rng: _read_again(s),
     "distance_matrix": lambda s, rng: bt.distance_matrix([s, bt.shapes.sphere(1)], method="shape_dna"),
     "plot": lambda s, rng: bt.plot(s, _values(s, rng), size=(40, 30), samples=1),
 }
+ON_SPHERES = {"spherical_map", "spherical_map, Cayley", "register_conformal"}
+ON_CLOUDS = {"sample_density", "register, alike", "committor, strong"}
 INFINITE = {"geodesic_distance", "intersect_rays"}  # distance to what no source reaches; to what a ray does not hit
 UNBOUNDED = frozenset(  # fields that may be infinite, but never not a number
     {
@@ -249,6 +280,13 @@ def attempt(case: Case) -> bool:
     return answered
 
 
+def test_every_method_takes_part() -> None:
+    """What is public and takes a shape or its points."""
+    others = {"num_threads", "set_num_threads", "load_values", "load", "save"}  # "save and load"
+    functions = {name for name in bt.__all__ if name[0].islower() and callable(getattr(bt, name))} - others
+    assert sorted(functions - {name.split(",")[0] for name in METHODS}) == []
+
+
 cases = st.builds(
     Case,
     method=st.sampled_from(sorted(METHODS)),
@@ -315,17 +353,17 @@ def test_finite_or_refused_often(case: Case) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_each_method_answers_on_a_sound_mesh(method: str) -> None:
     """So that the sweep above does not pass because everything is refused."""
-    base = "sphere" if method in ("spherical_map", "register_conformal") else "torus"
-    assert attempt(Case(method, base, 3, (), method == "sample_density", 1))
+    base = "sphere" if method in ON_SPHERES else "torus"
+    assert attempt(Case(method, base, 3, (), method in ON_CLOUDS, 1))
 
 
 def larger(method: str, count: int = 3840) -> Any:
     """About so many points: by default enough for the kernels to share the work among threads."""
-    if method in ("spherical_map", "register_conformal", "plot"):
+    if method in {*ON_SPHERES, "plot"}:
         return bt.shapes.ellipsoid(1.0, 0.8, 0.6, level=4 if count < 5000 else 6)
     columns = round((count / 2.4) ** 0.5)
     mesh = bt.shapes.torus(rows=count // columns, columns=columns)
-    return bt.PointCloud(mesh.vertices, dimension=2) if method == "sample_density" else mesh
+    return bt.PointCloud(mesh.vertices, dimension=2) if method in ON_CLOUDS else mesh
 
 
 def answer(method: str) -> list[bytes]:
@@ -360,7 +398,7 @@ def test_eight_calls_at_once_answer_as_one(method: str) -> None:
 def test_memory_does_not_grow(method: str) -> None:
     """Over 1,000 calls (fewer of what takes long) after a warm-up: in all, less than a few copies of the shape."""
     resource = pytest.importorskip("resource")
-    case = Case(method, "sphere" if method in ("spherical_map", "register_conformal") else "torus", 3, (), method == "sample_density", 1)
+    case = Case(method, "sphere" if method in ON_SPHERES else "torus", 3, (), method in ON_CLOUDS, 1)
 
     def calls(count: int, seconds: float) -> None:
         start = time.monotonic()
