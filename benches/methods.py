@@ -1,6 +1,7 @@
 """How the cost of every method grows with size: processor time and greatest memory, 1,000 to 1,000,000 vertices.
 
     python benches/methods.py [--sizes 1000 10000] [--only transport skeleton] [--seconds 300] [--memory 16]
+    python benches/methods.py --missing --seconds 900                      # what has no row yet: also how a run that was stopped goes on
     python benches/methods.py --page [--plot docs/images/methods.png]      # the table and the plot of what has been measured
 
 From a shape to its answer, operators and all; options are the default ones. Each run has a process of its own that may take so many
@@ -266,6 +267,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", choices=METHODS, default=list(METHODS))
     parser.add_argument("--seconds", type=float, default=300.0, help="the most of the processor that a run may take")
     parser.add_argument("--memory", type=float, default=16.0, help="the most memory that it may ask for, in GiB")
+    parser.add_argument("--missing", action="store_true", help="leave out what has a row, or ended for want of time or memory when smaller")
     parser.add_argument("--page", action="store_true", help="print the table of what has been measured, and do nothing else")
     parser.add_argument("--plot", help="the picture that goes with --page")
     parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
@@ -278,8 +280,16 @@ def main() -> None:
         if options.plot:
             plot(recorded(), options.plot)
         return
+    had = recorded() if options.missing else {}
     for name in options.only:
         for size in sorted(options.sizes):
+            there = [row for (method, at), row in had.items() if method == name and 0.9 < at / size < 1.1]
+            if any(row["seconds"] for row in there):  # an answer, or a refusal
+                continue
+            if any(
+                not row["seconds"] and float(row["outcome"].split()[2]) >= options.seconds for row in there if "more than" in row["outcome"]
+            ):
+                break
             row = measure(name, size, options.seconds, options.memory)
             record(row)
             print(f"{name:38}{row['vertices']:>9}{row['seconds']:>9}{row['wall']:>9}{row['GiB']:>7}  {row['outcome'][:160]}", flush=True)

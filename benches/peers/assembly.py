@@ -1,6 +1,6 @@
 """Cotangent stiffness and lumped mass: beltrami, numpy with scipy.sparse, and libigl on the same sphere, in turn, in one process.
 
-    python benches/peers/assembly.py [frequency of the sphere]
+python benches/peers/assembly.py [frequency of the sphere]
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Closest points and rays on a mesh: beltrami (double precision) and open3d (single), tree included, in turn, in one process.
 
-    python benches/peers/closest.py [queries]
+python benches/peers/closest.py [queries]
 """
 
 import sys

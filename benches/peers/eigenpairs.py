@@ -1,6 +1,6 @@
 """The 50 smallest eigenpairs of a mesh: beltrami, LaPy and scipy's eigsh on the same sphere, in turn, in one process.
 
-    python benches/peers/eigenpairs.py [level of the icosphere]
+python benches/peers/eigenpairs.py [level of the icosphere]
 """
 
 import sys

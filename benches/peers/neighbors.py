@@ -1,6 +1,6 @@
 """k nearest neighbours and radius search: beltrami, scipy's cKDTree and nanoflann on the same points, in turn, in one process.
 
-    python benches/peers/neighbors.py [points]      medians of three rounds, wall and processor seconds, tree included
+python benches/peers/neighbors.py [points]      medians of three rounds, wall and processor seconds, tree included
 """
 
 import statistics

@@ -1,6 +1,6 @@
 """Sliced Wasserstein distances: beltrami, two numpy sorts of the same projections, and POT, in turn, in one process.
 
-    python benches/peers/sliced.py [points]
+python benches/peers/sliced.py [points]
 """
 
 import sys

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import pickle
 import tempfile
@@ -355,6 +356,24 @@ def test_each_method_answers_on_a_sound_mesh(method: str) -> None:
     """So that the sweep above does not pass because everything is refused."""
     base = "sphere" if method in ON_SPHERES else "torus"
     assert attempt(Case(method, base, 3, (), method in ON_CLOUDS, 1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["pickle", "copy.copy", "copy.deepcopy", "cloudpickle"])
+@pytest.mark.parametrize("method", METHODS)
+def test_every_result_is_copied_whole(method: str, way: str) -> None:
+    copied: Callable[[Any], Any] = {
+        "pickle": lambda it: pickle.loads(pickle.dumps(it)),
+        "copy.copy": copy.copy,
+        "copy.deepcopy": copy.deepcopy,
+        "cloudpickle": lambda it: pickle.loads(pytest.importorskip("cloudpickle").dumps(it)),
+    }[way]
+    case = Case(method, "sphere" if method in ON_SPHERES else "torus", 3, (), method in ON_CLOUDS, 1)
+    result = METHODS[method](_shape(case), np.random.default_rng(1))
+    again = copied(result)
+    assert type(again) is type(result)
+    for one, other in zip(arrays_of(result), arrays_of(again), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def larger(method: str, count: int = 3840) -> Any:
