@@ -174,7 +174,7 @@ class CloudOperators(Operators):
         size = self.shape.dimension + 1
         hats = self.simplex_gradient.data.reshape(-1, space, size)
         products = np.einsum("mxi,mxj->mij", hats, hats) * self._volumes[:, None, None]
-        simplex, corner = np.nonzero(self._held)
+        simplex, corner = np.nonzero(self.held)
         rows = np.repeat(self.simplices[simplex, corner], size)
         entries = scipy.sparse.coo_array((products[simplex, corner].ravel(), (rows, self.simplices[simplex].ravel())), shape=(n, n))
         matrix = scipy.sparse.csr_array(entries)
@@ -185,13 +185,14 @@ class CloudOperators(Operators):
     def raw_mass(self) -> Floats:
         """(n,): a (d + 1)-th of each point's own star, in units of length^d."""
         size = self.shape.dimension + 1
-        simplex, corner = np.nonzero(self._held)
+        simplex, corner = np.nonzero(self.held)
         weights = self._volumes[simplex] / size
         sums = np.bincount(self.simplices[simplex, corner], weights=weights, minlength=len(self.shape.points))
         return arrays.read_only(sums.astype(np.float64))
 
     @property
-    def _held(self) -> npt.NDArray[np.bool_]:
+    def held(self) -> npt.NDArray[np.bool_]:
+        """Which corners' stars hold each simplex, (m, d + 1): the bits of ``voters``."""
         held: npt.NDArray[np.bool_] = (self.voters[:, None] >> np.arange(self.shape.dimension + 1, dtype=np.uint8)) % 2 == 1
         return held
 

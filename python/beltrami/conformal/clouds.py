@@ -66,7 +66,7 @@ def _with_stars_of_the_image(ops: CloudOperators, surface: Surface, s: Floats, t
     images reaches far in the cloud keep their own star. A pass is kept if it lowers the mean change of angle in the images' triangles.
     """
     n, points = surface.count, surface.vertices
-    own: _Star = surface.faces, ops._held
+    own: _Star = surface.faces, ops.held
     mass = surface.mass
     spacing = ops.point_spacing * float(np.sqrt(mass.sum() / ops.mass.sum()))
     stars, error, grown = _image_stars(s, points, mass)
@@ -110,7 +110,7 @@ def _image_stars(s: Floats, points: Floats, mass: Floats) -> tuple[_Star | None,
     """Simplices of the images' local mesh and which corners' stars hold them; mean change of angle, and their area over the cloud's."""
     try:
         ops = cast(CloudOperators, operators(PointCloud(s, dimension=2)))
-        faces, held = ops.simplices.astype(np.int64), ops._held
+        faces, held = ops.simplices.astype(np.int64), ops.held
     except InputError:  # images that round to one place
         return None, np.inf, np.inf
     weights = ops.votes / 3.0

@@ -9,7 +9,7 @@ import numpy as np
 
 import beltrami as bt
 
-from ..transport import DENSITY_COLOURS
+from ..transport.flow import DENSITY_COLOURS
 from ..view import Picture
 from ..view.film import film
 from . import Sheet, section

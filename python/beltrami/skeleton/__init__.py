@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -12,217 +10,24 @@ import numpy.typing as npt
 import scipy
 
 from .. import _core, arrays
-from ..arrays import Floats, Ints
+from ..arrays import Floats
 from ..eigen import eigenpairs
-from ..errors import DependencyError, InputError, TopologyError
-from ..files import written
+from ..errors import InputError, TopologyError
 from ..near import nearest_neighbors
 from ..operators import Operators, operators
 from ..progress import Progress, part, reporter
-from ..results import save_result
 from ..shapes import PointCloud, Shape, TriangleMesh, no_shape
-from ..view import Page, Picture, plot
 from .centerline import Drawing, center, descended, draw, section_of
 from .complexes import Complex, Indices, cloud_complex, mesh_complex, unique_edges
+from .functions import first_function
 from .reeb import ReebGraph, SimplifiedGraph, reeb_graph
+from .result import SkeletonResult
 
 __all__ = ["SkeletonResult", "skeleton"]
 
-MULTIPLE = 1.15  # eigenvalues up to this factor of the first count as copies of it
-IDLE = 0.05  # share of the area with slopes below a tenth of the mean, beyond which another eigenfunction may be added
 FADING = 0.1  # relative distance to the sixth eigenvalue; copies of a multiple one lie up to .015 apart in a sphere of 500 points
 CONSTANT = 0.1  # of its mean: up to this range an eccentricity shows the sampling; .08 on spheres of 500 points, .02 of 2,000
 VARIED = 0.5  # and up to this it has no limbs: .5 on an ellipsoid of axes 1, 1, 1.3; .9 to 12 where there are limbs
-GAIN = 1.35  # in the mean logarithm of squared slopes that justifies it: 1.5 to 3 for limbs in the nodal set, up to 1.3 else
-
-
-# --- the result ------------------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SkeletonResult:
-    """A graph along the middle of a shape, and what belongs to each node of it.
-
-    Attributes
-    ----------
-    shape : TriangleMesh or PointCloud
-    nodes : ndarray (k, D)
-        Positions, in units of length.
-    edges : ndarray (e, 2) of int32
-        Pairs of nodes; no edge twice, none from a node to itself.
-    radii : ndarray (k,)
-        Mean distance of the surface from each node, across the skeleton.
-    leaves, cycles : int
-        Nodes of one edge, and independent loops. On closed meshes the loops are the handles: exactly, before ``cancelled``.
-    node_of_point : ndarray (n,) of int32
-        The node that each vertex or point belongs to.
-    limbs : list of ndarray of int32
-        Chains of nodes from joint or tip to joint or tip; a closed loop repeats its first node.
-    limb_of_node : ndarray (k,) of int32
-        The limb that each node lies on; of a joint the first.
-    components : ndarray (k,) of int32
-        The connected piece of the shape that each node belongs to.
-    contours : list of ndarray (c, D)
-        Points of the level set that each node stands for, in order around it; empty at some joints.
-    function : ndarray (n,)
-        What the levels are of, read-only; numbers that were handed in as they were.
-    eigenvalues : ndarray
-        The first eigenvalues of the (first) piece if the function is made of eigenfunctions; else empty.
-    critical : tuple of int
-        Minima, saddles (with multiplicity) and maxima of the function. On closed meshes minima - saddles + maxima is the Euler
-        characteristic; (0, 0, 0) for clouds.
-    cut : ndarray
-        How many times longer than wide each limb was that was too short to keep.
-    cancelled : ndarray
-        Height of each loop that was ascribed to the sampling of a cloud, in units of length along the function.
-    stability : tuple of float
-        The greatest height of a cancelled loop and the least of one that is kept: the number of loops is the same for every
-        threshold between. ``(0, inf)`` for trees in which nothing was cancelled.
-    notes : tuple of str
-        What is worth knowing: pieces left out, noise, multiple eigenvalues.
-    """
-
-    shape: Shape
-    nodes: Floats
-    edges: Ints
-    radii: Floats
-    leaves: int
-    cycles: int
-    node_of_point: Ints
-    limbs: list[Ints]
-    limb_of_node: Ints
-    components: Ints
-    contours: list[Floats]
-    function: Floats
-    eigenvalues: Floats
-    critical: tuple[int, int, int]
-    cut: Floats
-    cancelled: Floats
-    stability: tuple[float, float]
-    notes: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f"SkeletonResult({len(self.nodes)} nodes, {len(self.limbs)} limbs, {self.leaves} leaves, {self.cycles} cycles)"
-
-    @property
-    def degrees(self) -> Ints:
-        """(k,): how many edges each node has."""
-        return np.bincount(self.edges.ravel(), minlength=len(self.nodes)).astype(np.int32)
-
-    @property
-    def lengths(self) -> Floats:
-        """Length of each limb along its nodes, in units of length."""
-        return np.array([np.linalg.norm(np.diff(self.nodes[limb], axis=0), axis=1).sum() for limb in self.limbs])
-
-    @property
-    def limb_of_point(self) -> Ints:
-        """(n,): the limb of each vertex or point: a segmentation of the shape."""
-        return self.limb_of_node[self.node_of_point]
-
-    def polylines(self, steps: int = 4) -> list[Floats]:
-        """Each limb as a smooth curve through its nodes (Catmull-Rom splines), ``steps`` segments an edge.
-
-        Examples
-        --------
-        >>> import beltrami as bt
-        >>> [len(line) > 20 for line in bt.skeleton(bt.shapes.torus()).polylines()]
-        [True]
-        """
-        steps = arrays.whole(steps, "steps", 1)
-        arrays.room(4.0 * steps * (self.nodes.size + len(self.edges)), f"{steps} steps for each of {len(self.edges)} edges", "take fewer")
-        share = (np.arange(steps) / steps)[None, :, None]
-        lines = []
-        for limb in self.limbs:
-            x = self.nodes[limb]
-            closed = limb[0] == limb[-1]
-            before = np.concatenate([x[-2:-1] if closed else 2 * x[:1] - x[1:2], x[:-2]])[:, None]
-            after = np.concatenate([x[2:], x[1:2] if closed else 2 * x[-1:] - x[-2:-1]])[:, None]
-            a, b = x[:-1, None], x[1:, None]
-            curve = a + 0.5 * share * (b - before + share * (2 * before - 5 * a + 4 * b - after + share * (3 * a - 3 * b + after - before)))
-            lines.append(np.concatenate([curve.reshape(-1, x.shape[1]), x[-1:]]))
-        return lines
-
-    def to_networkx(self) -> Any:
-        """A ``networkx.Graph``: nodes with ``position``, ``radius``, ``component``; edges with ``length``.
-
-        Raises
-        ------
-        DependencyError
-            networkx is not installed.
-        """
-        try:
-            import networkx
-        except ImportError:
-            raise DependencyError("to_networkx needs the package networkx: pip install networkx") from None
-        graph = networkx.Graph()
-        for node, (x, radius, piece) in enumerate(zip(self.nodes, self.radii, self.components, strict=True)):
-            graph.add_node(node, position=tuple(x.tolist()), radius=float(radius), component=int(piece))
-        lengths = np.linalg.norm(self.nodes[self.edges[:, 0]] - self.nodes[self.edges[:, 1]], axis=1)
-        for (a, b), length in zip(self.edges.tolist(), lengths.tolist(), strict=True):
-            graph.add_edge(a, b, length=length)
-        return graph
-
-    def drawn(self) -> dict[str, Any]:
-        """Options of :func:`beltrami.plot` that show the skeleton: its curves, its joints and tips, a transparent shape."""
-        special = self.degrees != 2
-        options: dict[str, Any] = {"lines": self.polylines(), "transparency": 0.75, "color": "#b9c4d0"}
-        if special.any():
-            options["points"] = self.nodes[special]
-        if isinstance(self.shape, PointCloud):
-            sample = self.shape.points[:: max(1, len(self.shape.points) // 500)]
-            spacing = float(np.median(nearest_neighbors(self.shape.points, sample, 7)[1][:, -1]))
-            options |= {"radius": 0.1 * spacing, "transparency": 0.0, "line_width": 7.0}  # the curve is seen between the points
-        return options
-
-    def plot(self, *, path: str | os.PathLike[str] | None = None, **options: Any) -> Picture | Page:
-        """Paints the skeleton inside the transparent shape; the options are those of :func:`beltrami.plot`."""
-        return plot(self.shape, path=path, **{**self.drawn(), **options})
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the graph: ``.swc`` (trees), ``.obj`` with lines, ``.npz`` with everything; a picture to ``.png`` or ``.html``.
-
-        Raises
-        ------
-        TopologyError
-            A graph with loops cannot be written to SWC, which knows one parent a node.
-        InputError
-            The suffix is none of these, or points of R^D with D other than 3 are to go to ``.swc`` or ``.obj``.
-        FileError
-            The file cannot be written.
-        """
-        return save_result(self, path, "a skeleton is", {".swc": self._save_graph, ".obj": self._save_graph})
-
-    def _save_graph(self, path: Path) -> Path:
-        suffix = path.suffix.lower()
-        if self.nodes.shape[1] != 3:
-            raise InputError(f"{path}: {suffix} holds points of R^3, these lie in R^{self.nodes.shape[1]}; write .npz")
-        text = "\n".join(self._swc(path) if suffix == ".swc" else self._obj()) + "\n"
-        return written(path, lambda stream: stream.write(text.encode("ascii")))
-
-    def _obj(self) -> list[str]:
-        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in self.nodes.tolist()]
-        return lines + ["l " + " ".join(str(node + 1) for node in limb.tolist()) for limb in self.limbs]
-
-    def _swc(self, path: Path) -> list[str]:
-        if self.cycles:
-            raise TopologyError(f"{path}: SWC holds trees and this skeleton has {self.cycles} cycles; write .obj or .npz")
-        size = len(self.nodes)
-        tree = scipy.sparse.coo_array((np.ones(len(self.edges)), (self.edges[:, 0], self.edges[:, 1])), shape=(size, size)).tocsr()
-        lines, number = ["# id type x y z radius parent"], {-9999: -1}
-        kinds = {1: 6, 2: 0}  # 6: end point, 5: fork point, 0: undefined
-        for piece in np.unique(self.components):
-            members = np.flatnonzero(self.components == piece)
-            root = members[np.argmax(self.radii[members])]
-            order, parents = scipy.sparse.csgraph.breadth_first_order(tree, root, directed=False)
-            for node in order.tolist():
-                number[node] = len(number)
-                x, y, z = self.nodes[node].tolist()
-                kind = kinds.get(int(self.degrees[node]), 5)
-                lines.append(f"{number[node]} {kind} {x!r} {y!r} {z!r} {float(self.radii[node])!r} {number[int(parents[node])]}")
-        return lines
-
-
-# --- the method ------------------------------------------------------------------------------------------------------------------------
 
 
 def skeleton(
@@ -341,30 +146,6 @@ def skeleton(
     return _assembled(given, complex_, labels, parts, function_out, eigenvalues, notes)
 
 
-class _Evenness:
-    """How evenly functions change over a surface: the mean over its area of the logarithm of the mean squared slope around each vertex."""
-
-    def __init__(self, complex_: Complex, unit: float) -> None:
-        self.ends = complex_.edges.T
-        steps = complex_.points[self.ends[0]] - complex_.points[self.ends[1]]
-        self.unit = unit  # neither the size of the functions nor that of the shape counts, and their squares could overflow
-        steps /= max(float(np.abs(steps).max()), 1e-300)
-        self.inverse = 1 / np.maximum(np.einsum("ed,ed->e", steps, steps), 1e-100)
-        self.count, self.share = len(complex_.mass), complex_.mass / complex_.mass.sum()
-        self.degrees = np.maximum(sum(np.bincount(end, minlength=self.count) for end in self.ends), 1)
-
-    def products(self, f: Floats, g: Floats) -> Floats:
-        """(n,): the mean product of the slopes of two functions along the edges at each vertex."""
-        a, b = self.ends
-        product = (f[a] / self.unit - f[b] / self.unit) * (g[a] / self.unit - g[b] / self.unit) * self.inverse
-        found: Floats = (np.bincount(a, product, self.count) + np.bincount(b, product, self.count)) / self.degrees
-        return found
-
-    def score(self, squares: Floats) -> float:
-        """Of the squared slopes; parts without slope count as if it were a thousandth of the others'."""
-        return float(self.share @ np.log(np.maximum(squares, 0) + max(1e-6 * float(squares.mean()), 1e-300)))
-
-
 def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: list[str], report: Any) -> tuple[Floats, _Cut, Floats]:
     """The first eigenfunction of a connected complex or its eccentricity, the graph of it, and the eigenvalues.
 
@@ -382,7 +163,7 @@ def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: li
     if function == "eccentricity" and varied > CONSTANT:
         return centric, _cut(complex_, centric, shortest_limb, part(report, 0.7, 0.9)), values
     said: list[str] = []
-    first = _first_function(complex_, values, functions, said)
+    first = first_function(complex_, values, functions, said)
     cut = _cut(complex_, first, shortest_limb, part(report, 0.7, 0.8))
     if function == "eccentricity":
         notes.append("the eccentricity is constant on a piece, but for its sampling; its first eigenfunction was taken")
@@ -395,64 +176,6 @@ def _intrinsic(complex_: Complex, function: Any, shortest_limb: float, notes: li
             return centric, other, values
     notes += said
     return first, cut, values
-
-
-def _first_function(complex_: Complex, values: Floats, functions: Floats, notes: list[str]) -> Floats:
-    """φ_1 of a connected complex. Of a multiple λ_1 the combination that changes most evenly; and where a limb lies in the set where φ_1
-    vanishes (the stem of a T), with an admixture of another eigenfunction that changes along it."""
-    copies = int((values <= MULTIPLE * values[0]).sum())
-    even = _Evenness(complex_, float(np.abs(functions).max()))
-    found = functions[:, 0]
-    if copies > 1:
-        found = functions[:, :copies] @ _most_even(even, functions[:, :copies])
-        gap = 100 * (values[copies - 1] / values[0] - 1)
-        notes.append(f"the first {copies} eigenvalues lie within {gap:.2g} %: their most even combination is taken")
-    squares = even.products(found, found)
-    idle = float(even.share[squares < 0.01 * squares.mean()].sum())
-    if idle > IDLE:
-        base = even.score(squares)
-        tries = [(weight, number) for number in range(copies, len(values)) for weight in (-0.4, -0.2, 0.2, 0.4)]
-        mixed = [found + weight * functions[:, number] for weight, number in tries]
-        scores = [even.score(even.products(f, f)) for f in mixed]
-        best = int(np.argmax(scores)) if scores else -1
-        if best >= 0 and scores[best] - base > GAIN:
-            found = mixed[best]
-            what = f"{tries[best][0]} times eigenfunction {tries[best][1] + 1} was added"
-            notes.append(f"the eigenfunction is nearly constant on {100 * idle:.0f} % of the surface: {what}")
-    sign = 1.0 if found[np.argmax(np.abs(found))] > 0 else -1.0
-    oriented: Floats = sign * found
-    return oriented
-
-
-def _most_even(even: _Evenness, space: Floats) -> Floats:
-    """The combination of some functions, a unit vector, that changes most evenly."""
-    copies = space.shape[1]
-    products = np.empty((len(space), copies, copies))
-    for i in range(copies):
-        for j in range(i, copies):
-            products[:, i, j] = products[:, j, i] = even.products(space[:, i], space[:, j])
-
-    def score(weights: Floats) -> float:
-        return even.score(products.reshape(len(space), -1) @ np.outer(weights, weights).ravel())
-
-    if copies == 2:
-        angles = np.arange(24) * np.pi / 24
-        starts = np.stack([np.cos(angles), np.sin(angles)], 1)
-    else:
-        starts = np.random.default_rng(0).normal(size=(64, copies))
-        starts /= np.linalg.norm(starts, axis=1, keepdims=True)
-    scores = [score(start) for start in starts]
-    best, top = starts[int(np.argmax(scores))], max(scores)
-    step = 0.1
-    while step > 0.01:
-        moves = best + step * np.concatenate([np.eye(copies), -np.eye(copies)])
-        moves /= np.linalg.norm(moves, axis=1, keepdims=True)
-        scores = [score(move) for move in moves]
-        if max(scores) > top + 1e-9:
-            best, top = moves[int(np.argmax(scores))], max(scores)
-        else:
-            step /= 2
-    return np.asarray(best, np.float64)
 
 
 def _values(given: Shape, function: Any, source: int | None, count: int) -> Floats | None:

@@ -20,8 +20,8 @@ from ..progress import GapWatch, Progress
 from ..results import save_result
 from ..shapes import Shape
 from ..view import Page, Picture, plot
-from . import DENSITY_COLOURS, balanced, density_in, options_in
 from .continuity import COARSE, Model, Problem, Scales, Splitting, Surface, coarser, looks, travel
+from .flow import DENSITY_COLOURS, balanced, density_in, options_in
 
 __all__ = ["BarycenterResult", "wasserstein_barycenter"]
 

@@ -14,8 +14,9 @@ from ..errors import InputError
 from ..operators import Operators
 from ..progress import GapWatch, Progress
 from ..shapes import Shape
-from . import Flow, Method, balanced, continuity, density_in, flow_fields, options_in
+from . import continuity
 from .continuity import Problem, Surface
+from .flow import Flow, Method, balanced, density_in, flow_fields, options_in
 
 __all__ = ["MeanFieldGameResult", "mean_field_game"]
 
