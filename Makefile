@@ -78,7 +78,7 @@ wheels: build ## wheels of the platforms in CROSS, built on this one machine wit
 	$(BIN)/python -m pip install -q "maturin[zig]>=1.9,<2" abi3audit
 	rm -rf dist && . $(BIN)/activate && for target in $(CROSS); do \
 	  maturin build --release --locked --zig --target $$target --out dist || exit 1; done
-	for wheel in dist/*; do $(BIN)/abi3audit --strict $$wheel || exit 1; done
+	for wheel in dist/*; do $(BIN)/python -m abi3audit --strict $$wheel || exit 1; done
 
 slow: build ## the sweeps that take minutes, from new seeds in every run
 	PROPTEST_CASES=100000 PROPTEST_RNG_SEED=$$(date +%s) cargo test --release --quiet --test io --test hostile
