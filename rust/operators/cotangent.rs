@@ -75,7 +75,7 @@ fn refusal(mesh: &TriangleMesh, face: usize) -> Error {
         ));
     }
     Error::input(format!(
-        "face {face} ({:?}) is degenerate: its corners lie on a line; use laplacian=\"intrinsic_delaunay\", or remove it",
+        "face {face} ({:?}) is degenerate: its corners lie on a line; use an intrinsic Delaunay Laplacian, or remove it",
         mesh.faces()[face]
     ))
 }
@@ -445,6 +445,13 @@ pub fn has_positive_weights(stiffness: &Csr) -> bool {
 /// Mixed Voronoi areas of the vertices (Meyer et al. 2003): Voronoi areas where a triangle is acute; in an obtuse one half
 /// of its area goes to the obtuse corner and a quarter to each other. They sum to the total area.
 ///
+/// ```
+/// use beltrami::{TriangleMesh, operators::voronoi_mass};
+/// let mesh = TriangleMesh::new(2, vec![0.0, 0.0, 1.0, 0.0, 0.0, 1.0], vec![[0, 1, 2]])?;
+/// assert_eq!(voronoi_mass(&mesh)?, [0.25, 0.125, 0.125]);
+/// # Ok::<(), beltrami::Error>(())
+/// ```
+///
 /// # Errors
 /// Those of [`cotangent_operators`].
 pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
@@ -465,6 +472,13 @@ pub fn voronoi_mass(mesh: &TriangleMesh) -> Result<Vec<f64>> {
 }
 
 /// The consistent (Galerkin) mass matrix `∫ φ_i φ_j`: a twelfth of the adjacent areas off the diagonal, a sixth on it.
+///
+/// ```
+/// use beltrami::{TriangleMesh, operators::galerkin_mass};
+/// let mesh = TriangleMesh::new(2, vec![0.0, 0.0, 1.0, 0.0, 0.0, 1.0], vec![[0, 1, 2]])?;
+/// assert_eq!(galerkin_mass(&mesh)?.row(0).1, [1.0 / 12.0, 1.0 / 24.0, 1.0 / 24.0]);
+/// # Ok::<(), beltrami::Error>(())
+/// ```
 ///
 /// # Errors
 /// Those of [`cotangent_operators`].
@@ -487,6 +501,14 @@ fn hat_gradient(mesh: &TriangleMesh, element: &Element, face: usize, corner: usi
 }
 
 /// The gradient, (m D, n): row `D face + axis` gives one coordinate of the tangent vector on a face.
+///
+/// ```
+/// use beltrami::{TriangleMesh, operators::gradient};
+/// let mesh = TriangleMesh::new(2, vec![0.0, 0.0, 1.0, 0.0, 0.0, 1.0], vec![[0, 1, 2]])?;
+/// let gradient = gradient(&mesh)?; // of one face: a row an axis
+/// assert_eq!([gradient.row(0).1, gradient.row(1).1], [[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]]);
+/// # Ok::<(), beltrami::Error>(())
+/// ```
 ///
 /// # Errors
 /// Those of [`cotangent_operators`].
@@ -514,6 +536,14 @@ pub fn gradient(mesh: &TriangleMesh) -> Result<Csr> {
 
 /// The divergence, (n, m D): the negative adjoint of the gradient in the area and mass inner products,
 /// `-diag(mass)^-1 G^T diag(area)`. Rows of vertices without mass are empty.
+///
+/// ```
+/// use beltrami::{TriangleMesh, operators::{divergence, voronoi_mass}};
+/// let mesh = TriangleMesh::new(2, vec![0.0, 0.0, 1.0, 0.0, 0.0, 1.0], vec![[0, 1, 2]])?;
+/// let divergence = divergence(&mesh, &voronoi_mass(&mesh)?)?;
+/// assert_eq!([0, 1, 2].map(|vertex| divergence.row(vertex).1), [[2.0, 2.0], [-4.0, 0.0], [0.0, -4.0]]);
+/// # Ok::<(), beltrami::Error>(())
+/// ```
 ///
 /// # Errors
 /// Those of [`cotangent_operators`].
