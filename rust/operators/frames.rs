@@ -604,7 +604,8 @@ impl Frames {
                         neighbors.copy_from_slice(&found);
                         work.offsets(cloud, rank, &found);
                         // neighbours at one distance, as on grids, come all or not at all: what is fitted has the grid's symmetry
-                        let (few, some) = (work.whole_shell(few), work.whole_shell(some));
+                        let some = work.whole_shell(some);
+                        let few = work.whole_shell(few).min(some); // neighbours of the other side, which fill up, may be nearer
                         work.offsets.truncate(some * ambient);
                         work.distances.truncate(some);
                         spacing[at] = work.distances[near.min(some - 1)];
