@@ -134,7 +134,7 @@ impl Multilevel {
         }
         Err(Error::NotConverged(format!(
             "{MOST} iterations reached a relative residual of {:.1e}, {tolerance:.1e} was asked for; factor the matrix instead, or use \
-             laplacian=\"intrinsic_delaunay\"",
+             an intrinsic Delaunay Laplacian",
             dot(&rest, &rest).sqrt() / goal
         )))
     }
