@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import importlib
 import pickle
 import tempfile
 import time
@@ -20,6 +21,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+CHECKS = Path(__file__).parents[3] / "shared" / "checks"
 Arrays = tuple[np.ndarray, np.ndarray | None]
 
 
@@ -155,7 +157,7 @@ QUICK = {"intervals": 3, "max_iterations": 10}
 METHODS: dict[str, Callable[[Any, np.random.Generator], Any]] = {
     "operators": lambda s, rng: bt.operators(s),
     "eigenpairs": lambda s, rng: bt.eigenpairs(s, int(rng.integers(1, 8))),
-    "geodesic_distance": lambda s, rng: bt.geodesic_distance(s, int(rng.integers(len(places(s))))),
+    "geodesic_distance": lambda s, rng: bt.geodesic_distance(s, int(rng.integers(max(len(places(s)), 1)))),
     "solve_poisson": lambda s, rng: bt.solve_poisson(s, _values(s, rng)),
     "segment": lambda s, rng: bt.segment(s, _values(s, rng), fidelity=5.0, max_iterations=30),
     "segment in three": lambda s, rng: bt.segment(s, _values(s, rng), fidelity=5.0, regions=3, max_iterations=30),
@@ -252,11 +254,16 @@ def arrays_of(result: Any, without: frozenset[str] = frozenset(), depth: int = 0
 
 def attempt(case: Case) -> bool:
     """Whether there was an answer; a refusal must say something."""
+    return answers_or_refuses(case.method, lambda: _shape(case), case.seed)
+
+
+def answers_or_refuses(method: str, make: Callable[[], Any], seed: int) -> bool:
+    """The same of one method on what is made here."""
     start = time.process_time()
     try:
-        shape = _shape(case)
+        shape = make()
         before = places(shape).tobytes()
-        result = METHODS[case.method](shape, np.random.default_rng(case.seed))
+        result = METHODS[method](shape, np.random.default_rng(seed))
     except bt.InternalError:
         raise
     except bt.Error as error:
@@ -266,9 +273,9 @@ def attempt(case: Case) -> bool:
     else:
         answered = True
         assert places(shape).tobytes() == before
-        if case.method not in NOT_A_NUMBER:
+        if method not in NOT_A_NUMBER:
             assert not any(np.isnan(array).any() for array in arrays_of(result))
-        if case.method not in INFINITE | NOT_A_NUMBER:
+        if method not in INFINITE | NOT_A_NUMBER:
             assert all(np.isfinite(array).all() for array in arrays_of(result, UNBOUNDED))
         history = getattr(result, "history", {})
         if {"lower_bound", "objective"} <= set(history):  # a certificate that lies is worse than none
@@ -351,6 +358,26 @@ def test_finite_or_refused(case: Case) -> None:
 @settings(SETTINGS, max_examples=10_000)
 def test_finite_or_refused_often(case: Case) -> None:
     attempt(case)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (CHECKS / "adversarial.py").is_file(), reason="the acceptance checks do not lie beside the project")
+@pytest.mark.parametrize("method", METHODS)
+def test_the_hostile_shapes_of_the_acceptance_checks(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every method on one shape of each kind of `adversarial.py`, whichever other tests draw."""
+    monkeypatch.syspath_prepend(CHECKS)
+    adversarial = importlib.import_module("adversarial")
+    seed = int(np.random.default_rng([ord(letter) for letter in method]).integers(1000))
+    for number in range(len(adversarial.MESHES + adversarial.CLOUDS)):
+        kind, (first, second), _ = adversarial.make(number, seed)
+
+        def make(first: Any = first, second: Any = second, cloud: bool = kind in adversarial.CLOUDS) -> Any:
+            return bt.PointCloud(first, **{"dimension": 2, **second}) if cloud else bt.TriangleMesh(first, second)
+
+        try:
+            answers_or_refuses(method, make, seed)
+        except Exception as fault:
+            raise AssertionError(f"{method} on case {number} of seed {seed}, {kind}") from fault
 
 
 @pytest.mark.parametrize("method", METHODS)
