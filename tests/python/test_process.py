@@ -51,6 +51,23 @@ if __name__ == "__main__":
     assert done.stdout.strip() == "[]", done.stderr
 
 
+@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="threads, as Linux lists them")
+def test_no_threads_but_the_librarys():
+    """Those of rayon's own pool are not there any more in forked children, which then waited for them for ever."""
+    code = """
+import os, test_sweep
+def others():
+    return sum(not open(f"/proc/self/task/{t}/comm").read().startswith("beltrami-") for t in os.listdir("/proc/self/task"))
+before = others()
+for method in test_sweep.METHODS:
+    test_sweep.answer(method)
+    if others() != before:
+        raise SystemExit(method)
+"""
+    done = run(code, PYTHONPATH=os.path.dirname(__file__), OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", OMP_NUM_THREADS="1")
+    assert done.returncode == 0, done.stderr
+
+
 LONG = {
     "eigenpairs": "bt.eigenpairs(bt.shapes.sphere(frequency=120), 400)",
     "all eigenpairs": "bt.eigenpairs(bt.shapes.sphere(frequency=20), 4002)",

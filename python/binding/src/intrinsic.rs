@@ -43,20 +43,21 @@ pub fn intrinsic_operators<'py>(
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Parts<'py>> {
     let mesh = mesh.mesh()?;
-    let (found, stiffness, mass) = run::watched(py, progress, |control| {
+    let (found, stiffness, mass, areas, spacing) = run::watched(py, progress, |control| {
         let found = if cover { shape::tufted(&mesh, control) } else { shape::intrinsic_delaunay(&mesh, control) }?;
         let (stiffness, mass) = (found.stiffness(), if voronoi { found.voronoi_mass() } else { found.mass() });
-        Ok((found, stiffness, mass))
+        let (areas, spacing) = (found.face_areas(), found.spacing());
+        Ok((found, stiffness, mass, areas, spacing))
     })?;
     let signed = |numbers: &[u32]| numbers.iter().map(|&number| number as i32).collect::<Vec<_>>(); // u32::MAX becomes -1
     let tables = (
         table_out(py, signed(found.faces().as_flattened()), 3)?,
         table_out(py, signed(found.twins()), 3)?,
         table_out(py, found.lengths(), 3)?,
-        vector_out(py, found.face_areas()),
+        vector_out(py, areas),
     );
     let counts = (found.flips(), found.mollified(), found.left_out());
-    Ok((matrix_out(py, stiffness), vector_out(py, mass), tables, found.spacing(), counts))
+    Ok((matrix_out(py, stiffness), vector_out(py, mass), tables, spacing, counts))
 }
 
 /// The gradient on an intrinsic triangulation, (2 m, n).
