@@ -1,7 +1,7 @@
 """Committors and reaction rates: closed forms, orders, symmetries, other programs, refusals."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import beltrami as bt
 import numpy as np
@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 import scipy.sparse as sparse
 import scipy.sparse.linalg as linalg
-from beltrami.committor import weighted
+from beltrami.committor import solve, weighted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -169,6 +169,29 @@ def test_circulation_leaves_the_density_and_turns_the_committors() -> None:
     assert np.abs(r.q - wanted).max() < 1e-4
     mirrored = bt.committor(bt.PointCloud(x, dimension=1), np.zeros(count), a, b, beta=1.0, circulation=-turn)
     assert np.abs(r.q_backward - (1 - mirrored.q)).max() < 1e-12
+
+
+@pytest.mark.parametrize("method", ["weak", "strong"])
+@pytest.mark.parametrize("turn", [0.0, 0.5, 3.0])
+def test_iteration_and_elimination_agree(method: Literal["weak", "strong"], turn: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Systems that are not symmetric, of all sizes; and where iteration is of no use, it says so and elimination follows."""
+    x = torus(1500, 3)
+    drift = turn * np.c_[-x[:, 1], x[:, 0], 0 * x[:, 0]]
+    found, eliminated = [], []
+    real = linalg.splu
+    monkeypatch.setattr(linalg, "splu", lambda *args, **ways: eliminated.append(1) or real(*args, **ways))
+    for few in (0, 10**9):
+        monkeypatch.setattr(solve, "FEW", few)
+        eliminated.clear()
+        found.append(bt.committor(bt.PointCloud(x), wells, *ends(x), beta=1.0, method=method, circulation=drift if turn else None))
+        assert bool(eliminated) == (few > 0 and (method == "strong" or turn > 0))
+    for name in ("q", "q_backward"):
+        assert np.abs(getattr(found[0], name) - getattr(found[1], name)).max() < 1e-9
+    assert found[0].rate == pytest.approx(found[1].rate, rel=1e-8)
+    monkeypatch.setattr(solve, "FEW", 0)
+    monkeypatch.setattr(solve, "RESTART", 1)
+    third = bt.committor(bt.PointCloud(x), wells, *ends(x), beta=1.0, method=method, circulation=drift if turn else None)
+    assert np.abs(third.q - found[1].q).max() < 1e-12
 
 
 def annulus(count: int, seed: int) -> Floats:

@@ -197,6 +197,9 @@ METHODS: dict[str, Callable[[Any, np.random.Generator], Any]] = {
     "register, alike": lambda s, rng: bt.register(*_pair(s), modes=12, samples=40),
     "register, rswd": lambda s, rng: bt.register(*_pair(s), method="rswd", modes=12, samples=40, polish=False),
     "committor, strong": lambda s, rng: bt.committor(s, _values(s, rng), [0], [len(places(s)) - 1], beta=1.0, method="strong"),
+    "committor, circulation": lambda s, rng: bt.committor(
+        s, _values(s, rng), [0], [len(places(s)) - 1], beta=1.0, circulation=rng.normal(size=places(s).shape)
+    ),
     "reweight": lambda s, rng: bt.reweight(places(s)[:, 0], np.where(np.arange(len(places(s))) % 2, 1.0, 2.0), 1.5),
     "neighbors_within": lambda s, rng: bt.neighbors_within(s, s, 0.7),
     "functional_map_of": lambda s, rng: bt.functional_map_of(rng.integers(63, size=len(places(s))), *_pair(s), k=6),

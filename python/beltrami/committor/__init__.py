@@ -232,7 +232,7 @@ def committor(
     partition = float(system.gibbs.sum())
     jump = system.q[system.mesh.first] - system.q[system.mesh.second]
     if method == "strong":
-        values, slopes = strong_form(ops, u[part_of], a[part_of], b[part_of], None if drift is None else drift[part_of], beta)
+        values, slopes = strong_form(ops, u[part_of], a[part_of], b[part_of], None if drift is None else drift[part_of], beta, system)
         outside = float(((values < -1e-10) | (values > 1 + 1e-10)).mean())
         system = replace(system, q=np.clip(values, 0, 1))
         rate = float(system.gibbs @ np.square(slopes).sum(1)) / (beta * partition)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -25,6 +26,10 @@ STEEPEST = 600.0  # β U may exceed its least value by as much: exp(-600) is a n
 LEAST_SHARE = 0.5  # samples hotter than twice the temperature are dense enough where the transition is
 CLUMP = 30  # neighbours whose mean spacing is to be expected
 FARTHEST = 4.0  # how many times their measured spacing the points at the outskirts may be apart
+DAMPING = 0.7  # of Jacobi's smoothing
+FEW = 10_000  # unknowns
+RESTART = 60  # directions of GMRES that are kept
+EXACT = 1e-12  # how great a share of the right side may be left of unsymmetric systems
 LOST = 1e-6  # how far the two committors' sum may be from 1
 
 
@@ -225,8 +230,10 @@ def expected_spacing(ops: CloudOperators, u: Floats) -> Floats | None:
     return np.asarray(np.clip(expected, spacing, FARTHEST * spacing), float)
 
 
-def strong_form(ops: Operators, u: Floats, a: Mask, b: Mask, circulation: Floats | None, beta: float) -> tuple[Floats, Floats]:
-    """q by Δq - grad(β U) · grad q + β circulation · grad q = 0 at each point, and its gradient (n, D)."""
+def strong_form(
+    ops: Operators, u: Floats, a: Mask, b: Mask, circulation: Floats | None, beta: float, weak: System
+) -> tuple[Floats, Floats]:
+    """q by Δq - grad(β U) · grad q + β circulation · grad q = 0 at each point, and its gradient (n, D); ``weak`` is the way to it."""
     if not isinstance(ops, CloudOperators):
         raise InputError("method='strong' stands on moving least squares, which are there for clouds; meshes have the weak form")
     if not isinstance(ops, LeastSquaresOperators):
@@ -252,15 +259,89 @@ def strong_form(ops: Operators, u: Floats, a: Mask, b: Mask, circulation: Floats
         matrix = scipy.sparse.csr_array((scipy.sparse.eye_array(count) - rim) @ matrix + rim @ (across @ gradient))
     free = np.flatnonzero(~(a | b))
     q = b.astype(float)
-    scale = 1 / np.maximum(abs(matrix).sum(1), 1e-300)[free]
-    inner = scipy.sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
+    rows_free = matrix[free]
+    inner = scipy.sparse.csr_array(rows_free[:, free])
+    # at the rim the greatest entry, where the derivative outwards may have next to nothing of the point itself
+    middle = inner.diagonal()
+    greatest = np.copysign(abs(inner).max(1).toarray().ravel(), middle)
+    diagonal = np.where(ops.boundary[free], greatest, middle)
+    mesh = weak.mesh
+    nearby = weighted.laplacian(count, mesh.first, mesh.second, weak.conductance)[free][:, free]
     try:
-        q[free] = scipy.sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
+        q[free] = _unsymmetric(inner, diagonal, nearby, ops.coordinates[free], -(rows_free @ q), weak.q[free])
     except RuntimeError as error:
         raise NumericalError(f"the strong form has no solution on these points ({error}); take the weak form, or more points") from None
     if not np.isfinite(q).all():
         raise NumericalError("the strong form has no finite solution on these points; take the weak form, or more points")
     return q, (gradient @ q).reshape(count, space)
+
+
+def _unsymmetric(matrix: Any, diagonal: Floats, nearby: Any, places: Floats, right: Floats, start: Floats) -> Floats:
+    """x of ``matrix x = right``: of few unknowns by elimination, of many by GMRES, or where that is not enough by elimination.
+
+    That of many unknowns takes long and is not interrupted. Each step of GMRES smooths by Jacobi's, solves with ``nearby`` and smooths
+    again: what the matrix and the symmetric one ``nearby``, whose rows may be of another scale, have not in common is oscillation.
+    """
+    if not len(right):
+        return right
+    scale = 1 / np.maximum(abs(matrix).sum(1), 1e-300)
+    matrix = scipy.sparse.csr_array(matrix.multiply(scale[:, None]))
+    right, diagonal = scale * right, scale * diagonal
+    middle = nearby.diagonal()
+    if len(right) > FEW and (middle > 0).all() and (diagonal != 0).all():
+        half, smooth = 1 / np.sqrt(middle), DAMPING / diagonal
+        try:
+            factor = Cholesky(scipy.sparse.csr_array(nearby.multiply(half[:, None]).multiply(half[None])), places)
+        except NumericalError:  # barriers that double precision cannot hold
+            pass
+        else:
+
+            def roughly(residual: Floats) -> Floats:
+                moved = smooth * residual
+                moved = moved + half * factor.solve((residual - matrix @ moved) * (middle / diagonal) * half)
+                return np.asarray(moved + smooth * (residual - matrix @ moved), float)
+
+            with np.errstate(all="ignore"):
+                found = _gmres(matrix, right, start, roughly)
+            if found is not None:
+                return found
+    # as matrices whose entries stand symmetrically: by its default SuperLU takes three times as long, and twice the memory
+    ways: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.1, "options": {"SymmetricMode": True}}
+    return np.asarray(scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix), **ways).solve(right), float)
+
+
+def _gmres(matrix: Any, right: Floats, x: Floats, roughly: Callable[[Floats], Floats]) -> Floats | None:
+    """x of ``matrix x = right`` where ``roughly`` solves it roughly (Saad and Schultz 1986); None where it does not come near it.
+
+    Sums are numpy's own, as those of BLAS depend on its threads.
+    """
+    enough = EXACT * np.sqrt(np.square(right).sum())
+    basis, h = np.empty((RESTART + 1, len(right))), np.zeros((RESTART + 1, RESTART))
+    before = np.inf
+    while True:
+        residual = right - matrix @ x
+        size = np.sqrt(np.square(residual).sum())
+        if size <= enough:
+            return x
+        if not size < before / 10:
+            return None
+        before, basis[0], h[:] = size, residual / size, 0
+        for k in range(RESTART):
+            moved = matrix @ roughly(basis[k])
+            for _ in range(2):
+                along = np.einsum("kn,n->k", basis[: k + 1], moved)
+                moved -= np.einsum("k,kn->n", along, basis[: k + 1])
+                h[: k + 1, k] += along
+            h[k + 1, k] = np.sqrt(np.square(moved).sum())
+            if not np.isfinite(h[k + 1, k]):
+                return None
+            first = np.zeros(k + 2)
+            first[0] = size
+            share = np.linalg.lstsq(h[: k + 2, : k + 1], first, rcond=None)[0]
+            if np.linalg.norm(first - h[: k + 2, : k + 1] @ share) < enough / 2 or h[k + 1, k] == 0:
+                break
+            basis[k + 1] = moved / h[k + 1, k]
+        x = x + roughly(np.einsum("k,kn->n", share, basis[: len(share)]))
 
 
 def rotating_form(system: System, circulation: Floats, backwards: bool) -> Floats:
@@ -284,9 +365,9 @@ def rotating_form(system: System, circulation: Floats, backwards: bool) -> Float
     diagonal = matrix.diagonal()[free]
     if not (diagonal > 0).all():
         raise NumericalError("the drift of this circulation is too strong for the spacing of the points: nothing leads on from some")
-    scale = 1 / diagonal
-    inner = scipy.sparse.csc_array(matrix[free][:, free].multiply(scale[:, None]))
-    q[free] = scipy.sparse.linalg.splu(inner).solve(-scale * (matrix[free] @ q))
+    nearby = weighted.laplacian(n, i, j, k * (ahead + behind) / 2)[free][:, free]
+    start = 1 - system.q[free] if backwards else system.q[free]
+    q[free] = _unsymmetric(matrix[free][:, free], diagonal, nearby, mesh.points[free], -(matrix[free] @ q), start)
     if not np.isfinite(q).all():
         raise NumericalError("the committor of this circulation is not finite; its drift is too strong for the spacing of the points")
     found: Floats = np.clip(q, 0, 1)
