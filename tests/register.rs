@@ -50,6 +50,32 @@ proptest! {
     }
 }
 
+/// Blocks of points that are too far are left out, from some thousand points on: the answers stay those of comparing with all.
+#[test]
+fn nearest_rows_of_a_surface_are_those_of_the_tree() {
+    let (dimension, count) = (12, 9000);
+    let places = noise(2 * count, 5);
+    let mut points = Vec::new();
+    for place in places.chunks_exact(2) {
+        for wave in 1..=dimension / 4 {
+            let (one, other) = (wave as f64 * 3.0 * place[0], wave as f64 * 3.0 * place[1]);
+            points.extend([one.sin(), one.cos(), other.sin(), other.cos()]);
+        }
+    }
+    points.copy_within(0..40 * dimension, 5000 * dimension); // of points that are there twice, the first
+    let strangers = noise(300 * dimension, 6);
+    let beside: Vec<f64> = points.iter().zip(noise(points.len(), 7)).map(|(x, e)| x + 0.05 * e).collect();
+    let control = Control::default();
+    let tree = KdTree::new(&points, dimension, &control).unwrap();
+    for queries in [&points, &beside, &strangers, &points[..0].to_vec()] {
+        assert_eq!(nearest_rows(&points, dimension, queries, &control).unwrap(), tree.nearest(queries, 1, &control).unwrap());
+    }
+    let far: Vec<f64> = points.iter().map(|x| 1e6 + x * 1e-3).collect(); // rounded to a few values: ties by the thousand
+    let tree = KdTree::new(&far, dimension, &control).unwrap();
+    assert_eq!(nearest_rows(&far, dimension, &far, &control).unwrap(), tree.nearest(&far, 1, &control).unwrap());
+    assert_eq!(nearest_rows(&[0.5; 14_000], 2, &[0.0, 1.0], &control).unwrap().0, [0]);
+}
+
 /// The same triple products seen from turned axes: B with `<A, C B>` greatest at C.
 fn turned(a: &[f64], c: &[f64], n: usize) -> Vec<f64> {
     let mut b = vec![0.0; n * n * n];
