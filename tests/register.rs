@@ -70,9 +70,11 @@ fn nearest_rows_of_a_surface_are_those_of_the_tree() {
     for queries in [&points, &beside, &strangers, &points[..0].to_vec()] {
         assert_eq!(nearest_rows(&points, dimension, queries, &control).unwrap(), tree.nearest(queries, 1, &control).unwrap());
     }
-    let far: Vec<f64> = points.iter().map(|x| 1e6 + x * 1e-3).collect(); // rounded to a few values: ties by the thousand
-    let tree = KdTree::new(&far, dimension, &control).unwrap();
-    assert_eq!(nearest_rows(&far, dimension, &far, &control).unwrap(), tree.nearest(&far, 1, &control).unwrap());
+    for (offset, scale) in [(1e6, 1e-3), (1e6, 1e-8), (0.0, 1e-310), (0.0, 1e-24)] {
+        let [far, near] = [&points, &beside].map(|table| table.iter().map(|x| offset + x * scale).collect::<Vec<f64>>());
+        let tree = KdTree::new(&far, dimension, &control).unwrap();
+        assert_eq!(nearest_rows(&far, dimension, &near, &control).unwrap(), tree.nearest(&near, 1, &control).unwrap(), "{offset} {scale}");
+    }
     assert_eq!(nearest_rows(&[0.5; 14_000], 2, &[0.0, 1.0], &control).unwrap().0, [0]);
 }
 

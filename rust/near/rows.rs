@@ -18,6 +18,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const QUERIES: usize = 128; // of a task
 const SIZES: [usize; 2] = [512, 32]; // of blocks and of their parts
+const ROUNDING: f64 = 1.0 + 1e-6; // more than that of a distance to a ball; for queries far from all points it is more than the slack
 const MANY: usize = 6000; // points; fewer are compared all
 
 /// Index and distance of the nearest point to each query; of equally near ones the one of least index.
@@ -53,7 +54,9 @@ pub fn nearest_rows(points: &[f64], dimension: usize, queries: &[f64], control: 
         }
     }
     let most = points.iter().chain(queries).fold(0.0, |most: f64, number| most.max(number.abs()));
-    let (scale, tamed) = (if most > 0.0 { 1.0 / most } else { 1.0 }, tame(most));
+    // a power of two, so that nothing is rounded before the mean is taken off
+    let scale = if most > 0.0 { 2f64.powi((-most.log2().floor()).clamp(-1022.0, 1022.0) as i32) } else { 1.0 };
+    let tamed = tame(most);
     let mean: Vec<f64> = (0..dimension)
         .map(|axis| points[axis..].iter().step_by(dimension).map(|number| number * scale).sum::<f64>() / count as f64)
         .collect();
@@ -136,7 +139,8 @@ impl Blocks {
         let rows: Vec<f32> = gather(table, dimension, &order);
         let halves: Vec<f32> = rows.par_chunks_exact(dimension).map(|row| (norm(row).powi(2) / 2.0) as f32).collect();
         let longest = (2.0 * f64::from(halves.iter().fold(0.0, |most: f32, &half| most.max(half)))).sqrt();
-        let [coarse, fine] = SIZES.map(|size| Balls::around(&rows, dimension, size));
+        let around = if count > MANY { &rows[..] } else { &[] };
+        let [coarse, fine] = SIZES.map(|size| Balls::around(around, dimension, size));
         Ok(Blocks { order, rows, halves, longest, coarse, fine })
     }
 }
@@ -157,7 +161,7 @@ impl Balls {
                 let squares = block.chunks_exact(dimension).map(|row| {
                     row.iter().zip(&centre).map(|(number, middle)| (f64::from(*number) - f64::from(*middle)).powi(2)).sum::<f64>()
                 });
-                let reach = (squares.fold(0.0, f64::max).sqrt() * (1.0 + 1e-6)) as f32;
+                let reach = (squares.fold(0.0, f64::max).sqrt() * ROUNDING) as f32;
                 (centre, reach)
             })
             .unzip();
@@ -165,7 +169,7 @@ impl Balls {
     }
 
     /// What the squared distances of the queries from the centres of some balls are at least: (balls, queries).
-    fn squares(&self, chosen: Range<usize>, search: &Search<'_>) -> Vec<f32> {
+    fn lower_bounds(&self, chosen: Range<usize>, search: &Search<'_>) -> Vec<f32> {
         let dimension = self.centres.len() / self.reaches.len();
         let (centres, wide) = (&self.centres[chosen.start * dimension..chosen.end * dimension], search.norms.len());
         let mut products = vec![0f32; chosen.len() * wide];
@@ -201,7 +205,7 @@ impl Search<'_> {
             return Ok(());
         }
         let (wide, parts_of_block) = (self.norms.len(), SIZES[0] / SIZES[1]);
-        let coarse = table.coarse.squares(0..table.coarse.reaches.len(), self);
+        let coarse = table.coarse.lower_bounds(0..table.coarse.reaches.len(), self);
         let nearest = |squares: &[f32]| squares.iter().fold(f32::INFINITY, |least, &square| least.min(square)).max(0.0).sqrt();
         let mut way: Vec<(f32, usize)> =
             coarse.chunks_exact(wide).zip(&table.coarse.reaches).map(|(squares, reach)| nearest(squares) - reach).zip(0..).collect();
@@ -214,11 +218,11 @@ impl Search<'_> {
             control.check()?;
             let parts = block * parts_of_block..table.fine.reaches.len().min((block + 1) * parts_of_block);
             let end = table.order.len().min(parts.end * SIZES[1]);
-            if asked > 4 * parts_of_block && needed > asked / 10 * 9 {
+            if asked > 4 * parts_of_block && 10 * needed > 9 * asked {
                 self.among(table, parts.start * SIZES[1]..end, products); // nearly all have been needed
                 continue;
             }
-            let fine = table.fine.squares(parts.clone(), self);
+            let fine = table.fine.lower_bounds(parts.clone(), self);
             let mut open = None; // where the parts that are searched together begin
             for (part, squares) in parts.clone().zip(fine.chunks_exact(wide)) {
                 let reached = self.reach_into(squares, table.fine.reaches[part]);
@@ -244,7 +248,7 @@ impl Search<'_> {
         squares
             .iter()
             .zip(&self.radii)
-            .fold(false, |any, (square, radius)| any | (*square <= (radius + reach) * (radius + reach) * 1.000_001))
+            .fold(false, |any, (square, radius)| any | (*square <= (radius + reach) * (radius + reach) * ROUNDING as f32))
     }
 
     /// Looks among the points at some places of the table.
@@ -268,7 +272,7 @@ impl Search<'_> {
                 let close = column.iter().zip(&table.order[places.clone()]).filter(|(value, _)| **value <= limit);
                 self.near[query].extend(close.map(|(&value, &index)| (value, index)));
                 let half = f64::from(self.least[query]) + self.norms[query].powi(2) / 2.0 + 2.0 * f64::from(self.slack[query]);
-                self.radii[query] = ((2.0 * half).max(0.0).sqrt() * (1.0 + 1e-6)) as f32;
+                self.radii[query] = ((2.0 * half).max(0.0).sqrt() * ROUNDING) as f32;
             }
         }
     }

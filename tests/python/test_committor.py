@@ -194,6 +194,28 @@ def test_iteration_and_elimination_agree(method: Literal["weak", "strong"], turn
     assert np.abs(third.q - found[1].q).max() < 1e-12
 
 
+def test_nothing_left_to_solve_for() -> None:
+    x = np.random.default_rng(3).uniform(-1, 1, (500, 2))
+    a = x[:, 0] < 0
+    for extra in ({"method": "strong"}, {"circulation": x}):
+        r = bt.committor(bt.PointCloud(x), np.square(x).sum(1), a, ~a, beta=1.0, **extra)
+        assert (r.q == ~a).all()
+
+
+@pytest.mark.parametrize("few", [0, 10**9])
+def test_what_rounding_loses_is_refused(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small residual is no small error: drifts far too strong and points a thousand times denser once had q off by half."""
+    monkeypatch.setattr(solve, "FEW", few)
+    rng = np.random.default_rng(1)
+    x = rng.uniform(-1, 1, (200, 2))
+    with pytest.raises(bt.NumericalError, match="weaker circulation"):
+        bt.committor(bt.PointCloud(x), np.square(x).sum(1), x[:, 0] < -0.8, x[:, 0] > 0.8, beta=1.0, circulation=-300 * x)
+    x = np.random.default_rng(3).uniform(-1, 1, (1500, 2))
+    x = np.concatenate([x, 1e-3 * x[:900]])
+    with pytest.raises(bt.NumericalError, match="take the weak form"):
+        bt.committor(bt.PointCloud(x), np.square(x).sum(1), x[:, 0] < -0.7, x[:, 0] > 0.7, beta=1.0, method="strong")
+
+
 def annulus(count: int, seed: int) -> Floats:
     """Uniform on 0.7 < r < 3.6."""
     rng = np.random.default_rng(seed)

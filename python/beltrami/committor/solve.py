@@ -259,55 +259,76 @@ def strong_form(
         matrix = scipy.sparse.csr_array((scipy.sparse.eye_array(count) - rim) @ matrix + rim @ (across @ gradient))
     free = np.flatnonzero(~(a | b))
     q = b.astype(float)
-    rows_free = matrix[free]
-    inner = scipy.sparse.csr_array(rows_free[:, free])
-    # at the rim the greatest entry, where the derivative outwards may have next to nothing of the point itself
-    middle = inner.diagonal()
-    greatest = np.copysign(abs(inner).max(1).toarray().ravel(), middle)
-    diagonal = np.where(ops.boundary[free], greatest, middle)
-    mesh = weak.mesh
-    nearby = weighted.laplacian(count, mesh.first, mesh.second, weak.conductance)[free][:, free]
-    try:
-        q[free] = _unsymmetric(inner, diagonal, nearby, ops.coordinates[free], -(rows_free @ q), weak.q[free])
-    except RuntimeError as error:
-        raise NumericalError(f"the strong form has no solution on these points ({error}); take the weak form, or more points") from None
-    if not np.isfinite(q).all():
-        raise NumericalError("the strong form has no finite solution on these points; take the weak form, or more points")
+    if len(free):
+        rows = matrix[free]
+        inner = scipy.sparse.csr_array(rows[:, free])
+        # at the rim the greatest entry, where the derivative outwards may have next to nothing of the point itself
+        middle = inner.diagonal()
+        greatest = np.copysign(abs(inner).max(1).toarray().ravel(), middle)
+        mesh = weak.mesh
+        nearby = weighted.laplacian(count, mesh.first, mesh.second, weak.conductance)[free][:, free]
+        q[free] = _unsymmetric(
+            inner, rows, (a, b), weak.q[free], np.where(ops.boundary[free], greatest, middle), nearby, ops.coordinates[free],
+            "the strong form is lost in rounding on these points; take the weak form, or more points",
+        )  # fmt: skip
     return q, (gradient @ q).reshape(count, space)
 
 
-def _unsymmetric(matrix: Any, diagonal: Floats, nearby: Any, places: Floats, right: Floats, start: Floats) -> Floats:
-    """x of ``matrix x = right``: of few unknowns by elimination, of many by GMRES, or where that is not enough by elimination.
+def _unsymmetric(
+    matrix: Any, rows: Any, sets: tuple[Mask, Mask], start: Floats, smoother: Floats, nearby: Any, places: Floats, lost: str
+) -> Floats:
+    """q of ``rows q = 0`` at the free points, whose columns of the ``rows`` are the ``matrix``; q is 0 in the one set and 1 in the other.
 
-    That of many unknowns takes long and is not interrupted. Each step of GMRES smooths by Jacobi's, solves with ``nearby`` and smooths
-    again: what the matrix and the symmetric one ``nearby``, whose rows may be of another scale, have not in common is oscillation.
+    Few unknowns are solved for by elimination, many by GMRES from ``start``, or by elimination, which then takes long and is not
+    interrupted, where that is not enough. Each step of GMRES smooths by Jacobi's with ``smoother`` as the diagonal, solves with the
+    symmetric matrix ``nearby`` (of unknowns at ``places``), whose rows may be of another scale, and smooths again: what both matrices have
+    not in common is oscillation. As ``rows 1 = 0``, the same is done for what is 1 in both sets and has to be 1 everywhere.
+
+    Raises
+    ------
+    NumericalError
+        With the text ``lost``, if it is not.
     """
-    if not len(right):
-        return right
     scale = 1 / np.maximum(abs(matrix).sum(1), 1e-300)
     matrix = scipy.sparse.csr_array(matrix.multiply(scale[:, None]))
-    right, diagonal = scale * right, scale * diagonal
-    middle = nearby.diagonal()
-    if len(right) > FEW and (middle > 0).all() and (diagonal != 0).all():
-        half, smooth = 1 / np.sqrt(middle), DAMPING / diagonal
-        try:
-            factor = Cholesky(scipy.sparse.csr_array(nearby.multiply(half[:, None]).multiply(half[None])), places)
-        except NumericalError:  # barriers that double precision cannot hold
-            pass
-        else:
-
-            def roughly(residual: Floats) -> Floats:
-                moved = smooth * residual
-                moved = moved + half * factor.solve((residual - matrix @ moved) * (middle / diagonal) * half)
-                return np.asarray(moved + smooth * (residual - matrix @ moved), float)
-
-            with np.errstate(all="ignore"):
-                found = _gmres(matrix, right, start, roughly)
-            if found is not None:
-                return found
-    # as matrices whose entries stand symmetrically: by its default SuperLU takes three times as long, and twice the memory
+    right = -scale[:, None] * (rows @ np.stack([sets[1], sets[0] | sets[1]], 1).astype(float))
+    starts = start, np.zeros_like(start)
+    if len(start) > FEW:
+        with np.errstate(all="ignore"):
+            found = _iterated(matrix, right, starts, scale * smoother, nearby, places)
+        if found is not None and np.abs(found[1] - 1).max() <= LOST:
+            return found[0]
+    # as matrices whose entries stand symmetrically: by its default SuperLU takes up to three times as long and twice the memory
     ways: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.1, "options": {"SymmetricMode": True}}
-    return np.asarray(scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix), **ways).solve(right), float)
+    try:
+        found = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix), **ways).solve(right).T
+    except RuntimeError as error:
+        raise NumericalError(f"{lost} ({error})") from None
+    if not np.abs(found[1] - 1).max() <= LOST or not np.isfinite(found[0]).all():
+        raise NumericalError(lost)
+    return np.array(found[0])
+
+
+def _iterated(
+    matrix: Any, right: Floats, starts: tuple[Floats, Floats], smoother: Floats, nearby: Any, places: Floats
+) -> tuple[Floats, Floats] | None:
+    middle = nearby.diagonal()
+    if not ((middle > 0).all() and (smoother != 0).all()):
+        return None
+    half, smooth = 1 / np.sqrt(middle), DAMPING / smoother
+
+    def roughly(residual: Floats) -> Floats:
+        moved = smooth * residual
+        moved = moved + half * factor.solve((residual - matrix @ moved) * (middle / smoother) * half)
+        return np.asarray(moved + smooth * (residual - matrix @ moved), float)
+
+    try:
+        factor = Cholesky(scipy.sparse.csr_array(nearby.multiply(half[:, None]).multiply(half[None])), places)
+        q = _gmres(matrix, right[:, 0], starts[0], roughly)
+        one = None if q is None else _gmres(matrix, right[:, 1], starts[1], roughly)
+    except (NumericalError, InputError):  # barriers that double precision cannot hold
+        return None
+    return None if q is None or one is None else (q, one)
 
 
 def _gmres(matrix: Any, right: Floats, x: Floats, roughly: Callable[[Floats], Floats]) -> Floats | None:
@@ -316,6 +337,8 @@ def _gmres(matrix: Any, right: Floats, x: Floats, roughly: Callable[[Floats], Fl
     Sums are numpy's own, as those of BLAS depend on its threads.
     """
     enough = EXACT * np.sqrt(np.square(right).sum())
+    if not 1e-100 < enough < 1e100:
+        return None
     basis, h = np.empty((RESTART + 1, len(right))), np.zeros((RESTART + 1, RESTART))
     before = np.inf
     while True:
@@ -365,10 +388,13 @@ def rotating_form(system: System, circulation: Floats, backwards: bool) -> Float
     diagonal = matrix.diagonal()[free]
     if not (diagonal > 0).all():
         raise NumericalError("the drift of this circulation is too strong for the spacing of the points: nothing leads on from some")
-    nearby = weighted.laplacian(n, i, j, k * (ahead + behind) / 2)[free][:, free]
-    start = 1 - system.q[free] if backwards else system.q[free]
-    q[free] = _unsymmetric(matrix[free][:, free], diagonal, nearby, mesh.points[free], -(matrix[free] @ q), start)
-    if not np.isfinite(q).all():
-        raise NumericalError("the committor of this circulation is not finite; its drift is too strong for the spacing of the points")
+    lost = "the committor of this circulation is lost in rounding; take a weaker circulation, more points, or a smaller beta"
+    if len(free):
+        rows, start = matrix[free], 1 - system.q if backwards else system.q
+        nearby = weighted.laplacian(n, i, j, k * (ahead + behind) / 2)[free][:, free]
+        ends = (b, a) if backwards else (a, b)
+        q[free] = _unsymmetric(rows[:, free], rows, ends, start[free], diagonal, nearby, mesh.points[free], lost)
+    if q.min() < -LOST or q.max() > 1 + LOST:
+        raise NumericalError(lost)
     found: Floats = np.clip(q, 0, 1)
     return found
