@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -41,6 +42,16 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _in_flags(message: str, options: argparse.Namespace) -> str:
+    """The message with options as this command spells them: the library's ``fill_holes=True`` is ``--fill-holes`` here."""
+
+    def flag(found: re.Match[str]) -> str:
+        name = found[1] if found[2] == "True" else f"no_{found[1]}"
+        return f"--{name.replace('_', '-')}" if hasattr(options, name) else found[0]
+
+    return re.sub(r"\b(\w+)=(True|False)\b", flag, message)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; the exit code."""
     try:
@@ -57,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"beltrami {options.command}: not converged: {error}", file=sys.stderr)
         return NOT_CONVERGED
     except Error as error:
-        print(f"beltrami {options.command}: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"beltrami {options.command}: {_in_flags(' '.join(str(error).split()), options)}", file=sys.stderr)
         return BAD_INPUT
     except BrokenPipeError:  # whoever read the table has seen enough
         sys.stderr.close()

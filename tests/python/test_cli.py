@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 
 import beltrami as bt
 import numpy as np
 import pytest
-from beltrami.__main__ import main
+from beltrami.__main__ import main, parser
 from beltrami.commands import COMMANDS, command, load_commands
 
 
@@ -356,3 +357,19 @@ def test_committor_takes_its_arrays_from_files_of_their_own(tmp_path, capsys):
             assert np.allclose(found["q"], exact.q, atol=1e-9)
     assert main(["committor", str(tmp_path / "x.npy"), "--beta", "4", "--A", "nowhere", "-o", str(tmp_path / "q.npz")]) == 2
     assert "no such array or file" in capsys.readouterr().err
+
+
+def test_every_option_of_every_command_is_described():
+    (commands,) = (action for action in parser()._actions if isinstance(action, argparse._SubParsersAction))
+    bare = [(name, action.dest) for name, one in commands.choices.items() for action in one._actions if not action.help]
+    assert bare == []
+
+
+def test_errors_name_the_options_of_the_command(tmp_path, capsys):
+    bt.save(bt.shapes.disc(), tmp_path / "disc.ply")
+    assert main(["sphere", str(tmp_path / "disc.ply")]) == 2
+    assert "--fill-holes" in capsys.readouterr().err
+    for option in ("--from", "--to"):
+        ends = {"--from": "uniform", "--to": "uniform", option: "nowhere.npy"}
+        assert main(["transport", "example:bob", *(word for pair in ends.items() for word in pair)]) == 2
+        assert f"{option} nowhere.npy" in capsys.readouterr().err

@@ -109,8 +109,10 @@ def input_file(parser: argparse.ArgumentParser) -> None:
 
 def cloud_options(parser: argparse.ArgumentParser) -> None:
     """What to make of a file of points."""
-    parser.add_argument("--deduplicate", action="store_true", help="clouds: keep the first of points that coincide")
-    parser.add_argument("--dimension", metavar="D", type=int, default=2, help="clouds: intrinsic dimension of what was sampled (2)")
+    parser.add_argument("--deduplicate", action="store_true", help="clouds: of points that coincide keep only the first")
+    parser.add_argument(
+        "--dimension", metavar="D", type=int, default=2, help="clouds: intrinsic dimension of the surface that was sampled (2)"
+    )
 
 
 def read(options: Options, file: str) -> Any:
@@ -141,20 +143,21 @@ def operators_of(shape: Any) -> Any:
     return operators
 
 
-def values_of(name: str | None, shape: Any) -> tuple[Any, str | None]:
-    """A field of the shape or the numbers of a file, and what to call them; the shape's colours where nothing is named."""
+def values_of(name: str | None, shape: Any, option: str = "--values") -> tuple[Any, str | None]:
+    """A field of the shape or the numbers of a file, and what to call them; the shape's colours where nothing is named. ``option``
+    named them."""
     if name is None:
         return (shape.data["colors"], None) if "colors" in shape.data else (None, None)
     if name in shape.data:
         return shape.data[name], name
     path = Path(name)
     if not path.exists():
-        raise InputError(f"--values {name}: no such file, and the shape has no such field (it has {', '.join(shape.data) or 'none'})")
+        raise InputError(f"{option} {name}: no such file, and the shape has no such field (it has {', '.join(shape.data) or 'none'})")
     if path.suffix.lower() == ".npz":
         count = len(shape.coordinates)
         fields = {key: array for key, array in stored(path).items() if array.shape == (count,)}
         if not fields:
-            raise InputError(f"--values {name}: none of its arrays has one number a vertex")
+            raise InputError(f"{option} {name}: none of its arrays has one number a vertex")
         return (fields, None) if len(fields) > 1 else next((array, key) for key, array in fields.items())
     stem = path.name.removesuffix(".gz").removesuffix(".gii")
     label = stem.split(".")[-1] if stem.startswith(("lh.", "rh.")) else Path(stem).stem  # lh.sulc, as FreeSurfer names it
@@ -190,8 +193,8 @@ def look_options(parser: argparse.ArgumentParser, view: str = "three-quarter") -
     parser.add_argument("--view", action="append", help=f"{names}; may be given several times, side by side ({view})")
     parser.set_defaults(views=[view])
     parser.add_argument("--up", choices="xyz", default="y", help="the axis that points upwards (y)")
-    parser.add_argument("--title")
-    parser.add_argument("--size", metavar="WxH", default="1600x1000", help="of the picture in pixels (1600x1000)")
+    parser.add_argument("--title", help="a line of text above the picture")
+    parser.add_argument("--size", metavar="WxH", default="1600x1000", help="size of the picture in pixels (1600x1000)")
 
 
 def looks_of(options: Options) -> dict[str, Any]:

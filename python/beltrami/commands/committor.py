@@ -36,11 +36,18 @@ def _committor_options(parser: argparse.ArgumentParser) -> None:
         "--sampling", choices=("any", "gibbs", "weighted"), default="any", help="what is known of U: its values, or samples"
     )
     parser.add_argument("--sample-beta", type=float, help="inverse temperature of the samples (--sampling gibbs)")
-    parser.add_argument("--method", choices=("weak", "strong"), default="weak")
-    parser.add_argument("--refine", type=int, help="how often triangles are split in four (1)")
-    parser.add_argument("--bootstrap", type=int, default=0, help="half-samples for the error of the rate (0)")
-    parser.add_argument("--block", type=int, default=1, help="points that are drawn together: the correlation time of a trajectory (1)")
-    parser.add_argument("--lines", type=int, default=12, help="reactive streamlines in pictures (12)")
+    parser.add_argument(
+        "--method",
+        choices=("weak", "strong"),
+        default="weak",
+        help="weak form on the local mesh, or strong form by moving least squares (weak)",
+    )
+    parser.add_argument("--refine", type=int, help="how many times triangles are split in four (1)")
+    parser.add_argument("--bootstrap", type=int, default=0, help="how many half-samples estimate the error of the rate (0)")
+    parser.add_argument(
+        "--block", type=int, default=1, help="how many successive points are drawn together: the correlation time of a trajectory (1)"
+    )
+    parser.add_argument("--lines", type=int, default=12, help="how many streamlines of the reactive current a picture shows (12)")
     cloud_options(parser)
 
 

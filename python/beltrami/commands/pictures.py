@@ -19,10 +19,10 @@ def _plot_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--values", help="a field of the file, or a file of numbers, one a vertex or a face (.npy .npz .csv .txt, GIFTI, FreeSurfer)"
     )
-    parser.add_argument("--colormap")
+    parser.add_argument("--colormap", help="viridis, balance, ... (chosen by the values)")
     parser.add_argument("--contours", type=int, help="how many contour lines")
-    parser.add_argument("--limits", type=float, nargs=2, metavar=("LOW", "HIGH"))
-    parser.add_argument("--transparency", type=float, default=0.0)
+    parser.add_argument("--limits", type=float, nargs=2, metavar=("LOW", "HIGH"), help="values at the ends of the colour bar")
+    parser.add_argument("--transparency", type=float, default=0.0, help="of the surface, from 0 to 1 (0)")
     parser.add_argument("--edges", action="store_true", help="draw the mesh's edges")
 
 
@@ -43,9 +43,9 @@ def plot(options: Options) -> int:
 
 
 def _gallery_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--out", default="gallery", help="folder (gallery)")
-    parser.add_argument("--only", action="append", metavar="WORD", help="sections whose title has this word")
-    parser.add_argument("--list", action="store_true", help="the titles")
+    parser.add_argument("-o", "--out", default="gallery", help="the folder to write (gallery)")
+    parser.add_argument("--only", action="append", metavar="WORD", help="only sections whose title contains this word")
+    parser.add_argument("--list", action="store_true", help="print the titles of the sections and stop")
 
 
 @command("gallery", "the main results on real shapes, as one page that opens from disk", _gallery_options)

@@ -38,13 +38,15 @@ from . import (
 
 def _register_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", help=FILES)
-    parser.add_argument("file", metavar="target", help="the shape to which it is matched")
+    parser.add_argument("file", metavar="target", help="the shape it is matched to")
     look_options(parser, "front")
     output_files(parser)
-    parser.add_argument("--method", choices=("auto", "rswd"), default="auto", help="rswd: sliced Wasserstein of the eigenmaps alone")
+    parser.add_argument(
+        "--method", choices=("auto", "rswd"), default="auto", help="rswd: the sliced Wasserstein iteration between eigenmaps alone (auto)"
+    )
     parser.add_argument("--landmarks", metavar="FILE", help="pairs of vertex numbers, source and target: lines of .csv or .txt, or .npy")
-    parser.add_argument("--intrinsic", action="store_true", help="only what no bending changes: no positions, no curvature")
-    parser.add_argument("--seed", type=int, default=0, help="of the directions (0)")
+    parser.add_argument("--intrinsic", action="store_true", help="use only what bending does not change: neither positions nor curvature")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random directions (0)")
     cloud_options(parser)
 
 
@@ -85,14 +87,18 @@ def register(options: Options) -> int:
 
 def _register_conformal_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", help=FILES)
-    parser.add_argument("file", metavar="target", help="the surface to which it is matched")
+    parser.add_argument("file", metavar="target", help="the surface it is matched to")
     look_options(parser)
     output_files(parser)
     parser.add_argument("--landmarks", metavar="FILE", help="pairs of vertex numbers, source and target: lines of .csv or .txt, or .npy")
     parser.add_argument("-k", type=int, default=20, help="size of the bases (20)")
-    parser.add_argument("--refine", type=int, default=100, help="size of the basis the map is refined to; 0: not at all (100)")
-    parser.add_argument("--start", choices=("auto", "spherical", "landmarks", "register"), default="auto")
-    parser.add_argument("--orientation", choices=("preserving", "reversing", "any"), default="preserving")
+    parser.add_argument("--refine", type=int, default=100, help="size of the basis to which the map is refined; 0: no refinement (100)")
+    parser.add_argument(
+        "--start", choices=("auto", "spherical", "landmarks", "register"), default="auto", help="where the first map comes from (auto)"
+    )
+    parser.add_argument(
+        "--orientation", choices=("preserving", "reversing", "any"), default="preserving", help="reversing: for mirror images (preserving)"
+    )
     cloud_options(parser)
 
 
@@ -159,11 +165,16 @@ def vertex_pairs(name: str | None) -> npt.NDArray[np.int64] | None:
 
 
 def _distances_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", nargs="+", metavar="file", help="shapes; one that cannot be read is said, and the others go on")
+    parser.add_argument("files", nargs="+", metavar="file", help="shapes; one that cannot be read is reported, and the others go on")
     parser.add_argument("-o", "--out", action="append", metavar="OUT", help="the matrix (.npz, .csv), a picture (.png)")
-    parser.add_argument("--method", choices=("rswd", "shape_dna"), default="rswd")
+    parser.add_argument(
+        "--method",
+        choices=("rswd", "shape_dna"),
+        default="rswd",
+        help="sliced Wasserstein of the eigenmaps, or a comparison of eigenvalues (rswd)",
+    )
     parser.add_argument("--processes", type=int, default=0, help="worker processes (0: none)")
-    parser.add_argument("--checkpoint", metavar="FOLDER", help="keeps what is done; the same command goes on from there")
+    parser.add_argument("--checkpoint", metavar="FOLDER", help="where finished pairs are kept; the same command resumes from there")
     parser.add_argument("--picture", choices=("map", "matrix", "dendrogram", "nearest"), default="map", help="what a .png shows (map)")
 
 

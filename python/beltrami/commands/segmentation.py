@@ -27,6 +27,7 @@ from . import (
     painted,
     shape_of,
     table,
+    tell_notes,
     unfinished,
     values_of,
     write,
@@ -44,9 +45,14 @@ def _image_options(parser: argparse.ArgumentParser) -> None:
         "weight of the image against length (segment: 7.5 over its variance, more until no region is empty; denoise: 100 over its range)"
     )
     parser.add_argument("--fidelity", type=float, help=weight)
-    parser.add_argument("--tv", choices=("isotropic", "edge"), default="isotropic", help="total variation on triangles, or a graph cut's")
+    parser.add_argument(
+        "--tv",
+        choices=("isotropic", "edge"),
+        default="isotropic",
+        help="total variation on triangles, or along edges as in graph cuts (isotropic)",
+    )
     parser.add_argument("--tolerance", type=float, help="relative gap to stop at (1e-4)")
-    parser.add_argument("--max-iterations", type=int, default=2000)
+    parser.add_argument("--max-iterations", type=int, default=2000, help="where to stop without the gap (2000)")
     cloud_options(parser)
 
 
@@ -61,7 +67,7 @@ def _image(options: Options, shape: Any) -> npt.NDArray[np.float64]:
 
 def _segment_options(parser: argparse.ArgumentParser) -> None:
     _image_options(parser)
-    parser.add_argument("--regions", type=int, default=2, help="how many (2)")
+    parser.add_argument("--regions", type=int, default=2, help="how many regions (2)")
 
 
 @command("segment", "an image on a surface into regions with short boundaries (convex Chan-Vese), certified", _segment_options)
@@ -93,8 +99,7 @@ def segment(options: Options) -> int:
     rows += [("proved lower bound", r.dual), ("relative gap", r.gap), ("excess of the labels", r.excess), ("iterations", r.iterations)]
     print()
     table([*rows, ("converged", r.converged)])
-    for note in r.notes:
-        print(note)
+    tell_notes(r.notes)
     picture = painted(shape, {"region": r.labels}, lines=r.contours or None, **look)
     write(options, picture, shape=shape, values={"labels": r.labels, "phi": r.phi}, result=r)
     return DONE if r.converged else unfinished(r)

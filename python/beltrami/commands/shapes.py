@@ -45,7 +45,7 @@ def info(options: Options) -> int:
 def _convert_options(parser: argparse.ArgumentParser) -> None:
     input_file(parser)
     parser.add_argument("target", nargs="?", metavar="OUT", help=".ply, .obj, .off, .stl, .xyz, .pts or .csv")
-    parser.add_argument("-o", "--out", metavar="OUT", help="the same, as with the other commands")
+    parser.add_argument("-o", "--out", metavar="OUT", help="the file to write, as with the other commands")
     parser.add_argument("--weld", action="store_true", help="vertices at equal positions become one")
     parser.add_argument("--ascii", action="store_true", help="a text file where the format has both")
 

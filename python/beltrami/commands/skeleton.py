@@ -48,7 +48,7 @@ def skeleton(options: Options) -> int:
     shape, look = shape_of(options), looks_of(options)
     function: Any = options.function
     if function not in (None, "eigenfunction", "eccentricity", "geodesic"):
-        function, _ = values_of(function, shape)
+        function, _ = values_of(function, shape, "--function")
     r = bt.skeleton(
         shape,
         function=function,

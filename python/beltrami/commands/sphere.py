@@ -31,11 +31,16 @@ def _sphere_options(parser: argparse.ArgumentParser) -> None:
     input_file(parser)
     look_options(parser)
     output_files(parser)
-    parser.add_argument("--method", choices=("fast", "cayley", "preconditioned_cayley"), default="fast")
+    parser.add_argument("--method", choices=("fast", "cayley", "preconditioned_cayley"), default="fast", help="the iteration (fast)")
     parser.add_argument("--fill-holes", action="store_true", help="close the holes of a mesh for the map")
-    parser.add_argument("--no-check-genus", action="store_true", help="map a cloud even where it does not look like a sphere")
-    parser.add_argument("--show", choices=("checkerboard", "angle_error", "conformal_factor"), default="checkerboard", help="in pictures")
-    parser.add_argument("--on", choices=("shape", "sphere"), default="shape", help="what pictures show")
+    parser.add_argument("--no-check-genus", action="store_true", help="map a cloud even if it does not look like a sphere")
+    parser.add_argument(
+        "--show",
+        choices=("checkerboard", "angle_error", "conformal_factor"),
+        default="checkerboard",
+        help="what colours the picture (checkerboard)",
+    )
+    parser.add_argument("--on", choices=("shape", "sphere"), default="shape", help="which of the two is drawn (shape)")
     cloud_options(parser)
 
 

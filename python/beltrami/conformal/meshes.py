@@ -31,8 +31,7 @@ def _sphere_mesh(mesh: TriangleMesh) -> Faces:
         loops = mesh.boundary_loops
         holes = "hole" if loops == 1 else "holes"
         raise TopologyError(
-            f"the mesh is not closed: {loops} {holes}; {facts}, a sphere has 2. spherical_map(mesh, "
-            "fill_holes=True) closes them for the map"
+            f"the mesh is not closed: {loops} {holes}; {facts}, a sphere has 2. fill_holes=True closes what is open for the map"
         )
     if euler != 2 or not mesh.is_orientable:
         what = f"genus {mesh.genus}" if mesh.is_orientable else "only one side"
