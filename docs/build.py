@@ -1,6 +1,7 @@
 """Builds the site: `python docs/build.py [-o site]` makes static pages, which open from disk, of docs/*.md and of the docstrings.
 
-A page is a Markdown file in this folder; those named in ORDER come first, others follow by name. Nothing is fetched."""
+A page is a Markdown file in this folder. ORDER names their order; a page that it does not name comes last among the methods. Nothing is
+fetched."""
 
 from __future__ import annotations
 
@@ -21,7 +22,19 @@ HERE = Path(__file__).resolve().parent
 ORDER = (
     ("Start", ("index", "installation", "coming_from", "files", "shapes", "point_clouds", "command_line", "pictures", "rust")),
     ("Foundation", ("operators", "solvers", "eigenpairs", "geodesics", "neighbours")),
-    ("Methods", ()),  # every page that is named nowhere
+    (
+        "Methods",
+        (
+            "segmentation",
+            "spherical_maps",
+            "skeletons",
+            "registration",
+            "conformal_registration",
+            "transport",
+            "sliced_wasserstein",
+            "committors",
+        ),
+    ),
     ("Project", ("conventions", "benchmarks", "contributing")),
 )
 # Modules a user meets beside the names of `beltrami` itself.
@@ -49,7 +62,7 @@ def pages(folder: Path = HERE) -> Groups:
     named = {stem for _, stems in ORDER for stem in stems}
     groups = {}
     for group, stems in ORDER:
-        chosen = stems or tuple(stem for stem in there if stem not in named)
+        chosen = (*stems, *(stem for stem in there if stem not in named)) if group == "Methods" else stems
         groups[group] = [(stem, there[stem]) for stem in chosen if stem in there]
     return {group: items for group, items in groups.items() if items}
 
