@@ -582,3 +582,59 @@ def test_inputs_are_left_alone_and_results_are_written(tmp_path: Path) -> None:
         r.save(tmp_path / "r.xyz")
     with pytest.raises(bt.FileError):
         r.save(tmp_path / "r.csv" / "r.npz")
+
+
+@pytest.mark.parametrize("beta", [5.0, 20.0, 40.0, 100.0])
+def test_passage_times_over_high_barriers(beta):
+    """Against T(-1) = β ∫_-1^1 exp(β U(y)) ∫_-end^y exp(-β U) dy: solved for at once, they lost all digits from a barrier of 25 kT on."""
+    mesh = bt.shapes.grid(321, 9)
+    plane = mesh.vertices[:, :2]
+    vertices = (plane - plane.min(0)) / np.ptp(plane, axis=0) * [3.2, 0.1] - [1.6, 0.0]
+    r = bt.committor(
+        bt.TriangleMesh(vertices, mesh.faces), lambda x: (x[:, 0] ** 2 - 1) ** 2, lambda x: x[:, 0] + 1, lambda x: 1 - x[:, 0], beta=beta
+    )
+    t = np.linspace(-1.6, 1.6, 400_001)
+    weights = np.exp(-beta * (t * t - 1) ** 2)
+    below = np.concatenate([[0], np.cumsum((weights[1:] + weights[:-1]) / 2)]) * (t[1] - t[0])
+    between = np.abs(t) <= 1
+    time = beta * np.trapezoid((np.exp(beta * ((t * t - 1) ** 2 - 1)) * below)[between], t[between]) * np.exp(beta)
+    at = np.argmin(np.abs(vertices[:, 0] + 1))
+    assert r.passage_time_to_B[at] == pytest.approx(time, rel=1e-6)
+    there, back = r.mean_first_passage_times
+    assert there == pytest.approx(back, rel=1e-12)
+    assert r.rate_constant == pytest.approx(r.rate_constant_backward, rel=1e-9)
+
+
+def test_passage_times_that_are_lost_are_refused():
+    """A third well beside the way, from which nothing leads on in double precision; 'add a positive multiple of the mass', it said."""
+    mesh = bt.shapes.grid(201, 5)
+    x = mesh.vertices[:, 0] / np.ptp(mesh.vertices[:, 0])
+    x = x - x.min()
+    potential = np.sin(3.5 * np.pi * x) ** 2  # minima at 0, 2/7, 4/7, 6/7
+    r = bt.committor(mesh, potential, x < 1 / 7, x > 1 / 7, beta=45.0)
+    with pytest.raises(bt.NumericalError, match="barriers on the way to A are too high for double precision"):
+        _ = r.passage_time_to_A
+
+
+@pytest.mark.parametrize("beta", [1e-307, 1e-300, 1e-160])
+@pytest.mark.parametrize("method", ["weak", "strong"])
+@pytest.mark.filterwarnings("error")
+def test_rates_at_the_end_of_double_precision(beta, method):
+    """Squares of rates of 1e300 overflowed."""
+    points = torus(600, 0)
+    a, b = [int(np.argmin(points[:, 0]))], [int(np.argmax(points[:, 0]))]
+    one, tiny = (bt.committor(bt.PointCloud(points), np.zeros(600), a, b, beta=value, method=method) for value in (1.0, beta))
+    assert tiny.rate * beta == pytest.approx(one.rate, rel=1e-12)
+    assert tiny.rate_flux_error * beta == pytest.approx(one.rate_flux_error, rel=1e-9)
+    for line, other in zip(tiny.streamlines(3), one.streamlines(3), strict=True):
+        assert line == pytest.approx(other, abs=1e-6)
+
+
+def test_a_set_that_is_next_to_never_left_last():
+    """1 - share_A is 0 in double precision: that divided by zero."""
+    mesh = bt.shapes.torus(rows=20, columns=15)
+    x = mesh.vertices[:, 0]
+    r = bt.committor(mesh, x, [int(x.argmin())], [int(x.argmax())], beta=20.0)
+    assert r.share_A == 1
+    times = r.mean_first_passage_times
+    assert r.rate_constant_backward == pytest.approx(1 / times[1], rel=0.05)

@@ -236,7 +236,7 @@ def committor(
         values, slopes = strong_form(ops, u[part_of], a[part_of], b[part_of], None if drift is None else drift[part_of], beta, system)
         outside = float(((values < -1e-10) | (values > 1 + 1e-10)).mean())
         system = replace(system, q=np.clip(values, 0, 1))
-        rate = float(system.gibbs @ np.square(slopes).sum(1)) / (beta * partition)
+        rate = float((system.gibbs * np.square(slopes).sum(1)).sum()) / (beta * partition)
     else:
         if drift is not None:
             system = replace(system, q=rotating_form(system, drift[part_of], False))
@@ -244,10 +244,16 @@ def committor(
         rate = float((system.conductance * jump * jump).sum()) / (beta * partition)
     backward = 1 - system.q if drift is None else rotating_form(system, drift[part_of], True)
     if not (np.isfinite(rate) and rate > 0):
-        raise NumericalError(f"the rate is {rate:g}: out of the range of double precision; measure in other units, or take a smaller beta")
-    share_a = float(system.gibbs @ backward) / partition
-    fluxes = slab_fluxes(system, partition)
-    flux, flux_error = float(fluxes.mean()), float(fluxes.std(ddof=1))
+        raise NumericalError(f"the rate is {rate:g}: out of the range of double precision; measure in other units, or take another beta")
+    ahead = system.q if drift is None else 1 - backward
+    share_a, share_b = (float((system.gibbs * share).sum()) / partition for share in (backward, ahead))
+    unit = float(np.ldexp(1.0, np.frexp(rate)[1] - 1))  # a power of 2, so that squares stay in range and no digit changes
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        fluxes = slab_fluxes(system, partition, unit)
+        flux, flux_error = (float(value) * unit for value in (fluxes.mean(), fluxes.std(ddof=1)))
+        constants = [float(np.float64(rate) / share) for share in (share_a, share_b)]
+    if not np.isfinite([flux, flux_error, *constants]).all():
+        raise NumericalError("rates are out of the range of double precision; measure in other units, or take a larger beta")
     with np.errstate(over="ignore", invalid="ignore"):
         current = reactive_current(system, partition) if drift is None else reactive_current(system, partition, backward, drift[part_of])
     if not np.isfinite(current).all():
@@ -269,7 +275,7 @@ def committor(
     teller(report)(1.0)
     return CommittorResult(
         shape=given, q=q, q_backward=q_backward, rate=rate, rate_error=_error(errors, rate) if replicates else None, rate_flux=flux,
-        rate_flux_error=flux_error, rate_constant=rate / share_a, rate_constant_backward=rate / (1 - share_a), share_A=share_a,
+        rate_flux_error=flux_error, rate_constant=constants[0], rate_constant_backward=constants[1], share_A=share_a,
         current=current, reactive_density=amount * q * q_backward, potential=energy, in_A=a, in_B=b, beta=beta, method=method,
         assumption=assumption, replicates=errors, diagnostics=diagnosed(system, outside, flux / rate - 1), _system=system,
         _partition=partition, _kept=kept,

@@ -12,11 +12,12 @@ import scipy
 
 from ..arrays import Floats
 from ..clouds import CloudOperators
+from ..errors import NumericalError
 from ..near import nearest_neighbors
-from ..solvers import Cholesky
 from . import weighted
-from .solve import System
+from .solve import System, TooDeep, reached_first
 
+ROUND = 64  # steps a point: some ten times what a line needs to pass it
 TAIL = 3e-5  # q closer to 0 or 1 counts as that in the second estimate of the rate
 
 
@@ -33,22 +34,40 @@ def passage_time(system: System, which: int) -> Floats:
     joined = np.isin(label[free], label[members])
     reach[free[~joined]] = np.inf
     free = free[joined]
-    matrix = weighted.laplacian(len(members), mesh.first, mesh.second, conductance)[free][:, free]
-    scale = 1 / np.sqrt(matrix.diagonal())
-    factor = Cholesky(scipy.sparse.csr_array(matrix.multiply(scale[:, None]).multiply(scale[None])), mesh.points[free])
-    reach[free] = factor.solve(system.beta * system.gibbs[free] * scale) * scale
+    if len(free) == 0:
+        return reach
+    # By way of the deepest node: the time until it or the set is reached, and from there what of the Gibbs density comes from it rather
+    # than from the set, over the flux of that to the set. Solved for at once, high barriers leave nothing of the time but rounding.
+    matrix, load = weighted.laplacian(len(members), mesh.first, mesh.second, conductance), system.beta * system.gibbs
+    deepest = np.zeros_like(members)
+    deepest[free[np.argmax(load[free])]] = True
+    others, share = free[~deepest[free]], deepest.astype(float)
+    try:
+        if len(others):
+            share[others], reach[others] = reached_first(matrix, others, (members, deepest), mesh.points, None, load)
+    except (TooDeep, NumericalError) as error:
+        raise NumericalError(
+            f"barriers on the way to {'AB'[which]} are too high for double precision, the mean times to it are lost: take a smaller beta"
+        ) from error
+    jump = share[mesh.first] - share[mesh.second]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        reach[free] += share[free] * ((load * share).sum() / (conductance * jump * jump).sum())
+    if not np.isfinite(reach[free]).all():
+        raise NumericalError("mean times are out of the range of double precision; measure in other units, or take a smaller beta")
     return reach
 
 
 def follow(system: System, current: Floats, starts: Floats, sign: float) -> list[Floats]:
-    """Lines along the current at the points from each start, until the nearest point is in A or B."""
+    """Lines along the current at the points from each start, until the nearest point is in A or B, or they go round and round."""
     points = system.mesh.points[: system.count]
+    current = np.ldexp(current, -np.frexp(np.abs(current).max(initial=0.0))[1])  # so that squares stay in range
     size = np.linalg.norm(current, axis=1)
     typical = np.maximum(size, 1e-300)
     ops = system.ops
     frames = ops.frames if isinstance(ops, CloudOperators) and ops.shape.dimension < points.shape[1] else None
     count = min(7, len(points))
     place, lines, moving = starts.copy(), [[start] for start in starts], np.arange(len(starts))
+    passed: list[set[int]] = [set() for _ in starts]  # the points that were nearest
     target = system.sets[1 if sign > 0 else 0][: system.count]
     other = system.sets[0 if sign > 0 else 1][: system.count]
     reach = nearest_neighbors(points, points, min(7, len(points)))[1][:, -1]
@@ -79,8 +98,10 @@ def follow(system: System, current: Floats, starts: Floats, sign: float) -> list
             tangent = np.einsum("sdD,sd->sD", frames[nearest], np.einsum("sdD,sD->sd", frames[nearest], offset))
             new = points[nearest] + tangent
         place[moving] = new
-        for at, position in zip(moving.tolist(), new, strict=True):
+        for at, position, nearby in zip(moving.tolist(), new, near.tolist(), strict=True):
             lines[at].append(position)
+            passed[at].add(nearby)
+        moving = np.array([at for at in moving.tolist() if len(lines[at]) < ROUND * (len(passed[at]) + 2)], np.int64)
     return [np.array(line) for line in lines]
 
 
@@ -101,8 +122,8 @@ def reactive_current(system: System, partition: float, backward: Floats | None =
     return found
 
 
-def slab_fluxes(system: System, partition: float, slabs: int = 8) -> Floats:
-    """Flux through ``slabs`` layers between q = 0.1 and 0.9, by gradients fitted at the points outside A and B: (slabs,).
+def slab_fluxes(system: System, partition: float, unit: float, slabs: int = 8) -> Floats:
+    """Flux in a ``unit`` through ``slabs`` layers between q = 0.1 and 0.9, by gradients fitted at the points outside A and B: (slabs,).
 
     Fitted is q, or its normal quantile, which is nearly linear across a barrier where q itself is steep: the one whose fluxes differ
     less, as they are all the same in truth.
@@ -111,7 +132,7 @@ def slab_fluxes(system: System, partition: float, slabs: int = 8) -> Floats:
     own = q[: system.count]
     known = (own > TAIL) & (own < 1 - TAIL) & ~(system.sets[0] | system.sets[1])[: system.count]
     # exp(-βU) |grad q| is smooth, exp(-βU) is not: harmonic means along the edges, averaged
-    weight = mesh.volumes * system.weights[mesh.pairs].mean(1) / (system.beta * partition)
+    weight = mesh.volumes * system.weights[mesh.pairs].mean(1) / (system.beta * partition) / unit
     low, high = q[mesh.simplices].min(1), q[mesh.simplices].max(1)
     width = np.maximum(high - low, 1e-300)
     below = [np.clip((level - low) / width, 0, 1) for level in np.linspace(0.1, 0.9, slabs + 1)]

@@ -84,7 +84,8 @@ def diagnosed(system: System, outside: float, mismatch: float) -> CommittorDiagn
     used = system.conductance * np.square(system.q[mesh.first] - system.q[mesh.second])
     used = np.maximum(used, 0)
     length = 2.0 ** len(system.parents)  # steps of U along the edges of the shape itself
-    steep = length * float(used @ np.abs(mesh.potential[mesh.first] - mesh.potential[mesh.second]) / used.sum()) if used.sum() > 0 else 0.0
+    change = np.abs(mesh.potential[mesh.first] - mesh.potential[mesh.second])
+    steep = length * float((used * change).sum() / used.sum()) if used.sum() > 0 else 0.0
 
     def effective(weights: Floats) -> float:
         top = float(weights.max())

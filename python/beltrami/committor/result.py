@@ -140,7 +140,7 @@ class CommittorResult:
         gibbs = self._system.restrict(self._system.gibbs)
         a, b = (s[: self._system.count] for s in self._system.sets)
         there, back = passage_time(self._system, 1)[: len(a)], passage_time(self._system, 0)[: len(a)]
-        return float(gibbs[a] @ there[a] / gibbs[a].sum()), float(gibbs[b] @ back[b] / gibbs[b].sum())
+        return float((gibbs[a] * there[a]).sum() / gibbs[a].sum()), float((gibbs[b] * back[b]).sum() / gibbs[b].sum())
 
     # places
 

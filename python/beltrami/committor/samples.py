@@ -73,7 +73,7 @@ def sample_density(shape: Shape | Operators, *, weights: Any = None, neighbors: 
         indices, distances = nearest_neighbors(points, points, min(count, len(points)))
         kernel = np.maximum(1 - np.square(distances / np.maximum(distances[:, -1:], 1e-300)), 1e-12)
         found = found * trend * (kernel * (weight / trend)[indices]).sum(1) / kernel.sum(1)
-    return np.asarray(found / (found @ mass), float)
+    return np.asarray(found / (found * mass).sum(), float)
 
 
 def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float = 1e-10) -> Floats:

@@ -132,27 +132,37 @@ def _solve(mesh: Elements, sets: tuple[Mask, Mask], report: Any) -> tuple[Floats
     q = b.astype(float)
     if len(free):
         matrix = weighted.laplacian(len(mesh.points), mesh.first, mesh.second, conductance)
-        rows = matrix[free]
-        inner = rows[:, free]
-        diagonal = inner.diagonal()
-        if not (diagonal > 0).all():
-            raise NumericalError("a point has no conduction")
-        scale = 1 / np.sqrt(diagonal)
-        inner = scipy.sparse.csr_array(inner.multiply(scale[:, None]).multiply(scale[None]))
-        factor = Cholesky(inner, mesh.points[free], progress=report)
-        right = -(rows @ np.stack([a, b], 1).astype(float)) * scale[:, None]
-        # of A and of B at once: their sum is 1 but for rounding, which division takes off, and which says what is left of q
-        ends = factor.solve(right) * scale[:, None]
-        total = ends.sum(1)
-        lost = np.abs(total - 1)
-        if not lost.max() <= LOST:
-            worst = int(free[np.argmax(np.nan_to_num(lost, nan=np.inf))])
-            raise _TooDeep(worst)
-        q[free] = ends[:, 1] / total
+        q[free] = reached_first(matrix, free, (a, b), mesh.points, report)[0]
     return q, weights, outside
 
 
-class _TooDeep(Exception):
+def reached_first(matrix: Any, free: Longs, sets: tuple[Mask, Mask], places: Floats, report: Any, load: Floats | None = None) -> Floats:
+    """Of a symmetric ``matrix`` with row sums 0, at the nodes ``free``: the solution that is 0 in one set and 1 in the other, (1, k).
+
+    All that the matrix joins to these nodes is in one of the sets. A ``load`` (nodes) has a second row: its solution, 0 in both sets.
+    """
+    rows = matrix[free]
+    inner = rows[:, free]
+    diagonal = inner.diagonal()
+    if not (diagonal > 0).all():
+        raise NumericalError("a point has no conduction")
+    scale = 1 / np.sqrt(diagonal)
+    inner = scipy.sparse.csr_array(inner.multiply(scale[:, None]).multiply(scale[None]))
+    factor = Cholesky(inner, places[free], progress=report)
+    right = -(rows @ np.stack(sets, 1).astype(float))
+    if load is not None:
+        right = np.column_stack([right, load[free]])
+    # of both sets at once: their sum is 1 but for rounding, which division takes off, and which says what is left of the share
+    found = factor.solve(right * scale[:, None]) * scale[:, None]
+    total = found[:, 0] + found[:, 1]
+    lost = np.abs(total - 1)
+    if not lost.max() <= LOST:
+        raise TooDeep(int(free[np.argmax(np.nan_to_num(lost, nan=np.inf))]))
+    found[:, 1] /= total
+    return np.asarray(found[:, 1:].T, float)
+
+
+class TooDeep(Exception):
     """Barriers that double precision cannot hold."""
 
 
@@ -187,7 +197,7 @@ def weak_form(
             sets = one, other
         try:
             q, weights, outside = _solve(mesh, sets, part(report, 0.5 + 0.15 * attempt, 1.0))
-        except (NumericalError, _TooDeep) as error:
+        except (NumericalError, TooDeep) as error:
             last = error
             continue
         if q.min() < -1e-12 or q.max() > 1 + 1e-12:
@@ -196,7 +206,7 @@ def weak_form(
         return System(mesh, ops, count, tuple(parents), sets, outside, weights, np.clip(q, 0, 1), beta)
     # What is left once no conduction is negative is rounding: a well whose way out is lost beside its own conduction.
     outside = np.where(members[0] | members[1], np.inf, u)
-    deepest = last.args[0] if isinstance(last, _TooDeep) and last.args[0] < count else int(np.argmin(outside))
+    deepest = last.args[0] if isinstance(last, TooDeep) and last.args[0] < count else int(np.argmin(outside))
     raise NumericalError(
         f"barriers around the well at point {deepest} are too high for double precision, q is lost there: take a smaller beta, or count "
         "the well to A or B"
