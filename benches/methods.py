@@ -209,7 +209,7 @@ def exponent(points: list[tuple[int, float]]) -> float | None:
 def page(rows: dict[tuple[str, int], dict[str, str]]) -> str:
     """A table: seconds of the processor by size, the exponent, and memory at the largest size."""
     shown = (1_000, 10_000, 100_000, 1_000_000)
-    lines = ["| From a shape to its answer | " + " | ".join(f"{size:,}" for size in shown) + " | Exponent | GiB at the largest answered |"]
+    lines = ["| Method | " + " | ".join(f"{size:,}" for size in shown) + " | Exponent | Memory at the largest size, GiB |"]
     lines.append("|---|" + "---|" * (len(shown) + 2))
     notes = []
     for name in METHODS:
@@ -221,7 +221,8 @@ def page(rows: dict[tuple[str, int], dict[str, str]]) -> str:
             if best is None:
                 cells.append("")
             elif best["outcome"] == "answer":
-                cells.append(f"{float(best['seconds']):.2g}")
+                seconds = float(best["seconds"])
+                cells.append(f"{seconds:.0f}" if seconds >= 100 else f"{seconds:.2g}")
                 memory = best["GiB"]
             elif best["outcome"].startswith("more than"):
                 cells.append("> " + best["outcome"].split()[2])
@@ -256,7 +257,7 @@ def plot(rows: dict[tuple[str, int], dict[str, str]], path: str) -> None:
     for axis in axes[-1]:
         axis.set_xlabel("vertices")
     for axis in axes[:, 0]:
-        axis.set_ylabel("seconds of the processor")
+        axis.set_ylabel("CPU seconds")
     figure.suptitle("Every method, with the exponent of its cost")
     figure.savefig(path, dpi=110)
 
