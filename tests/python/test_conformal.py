@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import beltrami as bt
 import numpy as np
@@ -192,6 +193,31 @@ def test_flips_are_repaired() -> None:
     r = bt.spherical_map(mesh)
     assert r.flipped == 0
     assert any("repaired" in note for note in r.notes)
+
+
+def test_steps_that_lead_away_along_thin_limbs_are_taken_back() -> None:
+    # Three limbs, each five times as long as the ball is wide: whole steps rose from E - A = 98 to 380, with 2,599 triangles turned over.
+    rng = np.random.default_rng(2)
+    ball = bt.shapes.sphere(4)
+    axes = rng.normal(size=(3, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    radius = 1 + 10 * np.exp(100 * (ball.vertices @ axes.T - 1)).sum(1)
+    r = bt.spherical_map(bt.TriangleMesh(ball.vertices * radius[:, None], ball.faces))
+    assert r.flipped == 0
+    assert r.history["excess"][-1] < 0.1 * r.history["excess"][0]
+
+
+def test_triangles_that_centring_rounds_over_are_repaired_again() -> None:
+    """The claws of a centaur are 1e-11 of the sphere."""
+    path = Path(__file__).parents[3] / "shared" / "data" / "registration" / "tosca5k" / "centaur1.npz"
+    if not path.exists():
+        pytest.skip("the registration pairs are not beside the project")
+    with np.load(path) as pair:
+        mesh = bt.TriangleMesh(pair["V"].astype(float), pair["F"])
+    r = bt.spherical_map(mesh)
+    assert r.flipped == 0
+    mass = bt.operators(mesh).mass
+    assert np.linalg.norm(mass @ r.positions) < 1e-12 * mass.sum()
 
 
 def test_clouds_are_mapped_as_well_as_meshes(spot: bt.SphericalMapResult) -> None:

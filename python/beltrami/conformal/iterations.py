@@ -14,6 +14,8 @@ from ..solvers import Cholesky, plus_diagonal
 from .moebius import centred
 from .surface import Surface, corner_products, determinants, row_products, unit_rows
 
+ASTRAY = 1.1  # times the least E - A so far: a step went astray
+
 
 def _tangential(vectors: Floats, s: Floats) -> Floats:
     found: Floats = vectors - row_products(vectors, s)[:, None] * s
@@ -96,24 +98,37 @@ def descend(
     tolerance: float,
     steps: int,
     report: Callable[[float], object],
+    *,
+    guarded: bool = False,
 ) -> tuple[Floats, Trace]:
     """Preconditioned descent of E - A with Anderson acceleration; the centre stays at the origin, for which one Newton step
     each time does, and all at the end.
 
-    Where rounding ends the progress before the tolerance is met, the map that moved least is returned.
+    Where rounding ends the progress before the tolerance is met, the map that moved least is returned. Steps of length 1 may rise for
+    a while and come down elsewhere; where they ended far above, because limbs are long and thin, a second run goes back to the lowest
+    map whenever it rises, with shorter steps (``guarded``), and the lower of both maps counts.
     """
+    began = s
     trace, weights = Trace(), surface.mass / surface.mass.sum()
     best, still = (np.inf, s), 0
     residuals: list[Floats] = []
     images: list[Floats] = []
+    lowest, length = (np.inf, s), 1.0
     for step in range(steps):
         g, image_areas, excess = gradient(s)
+        if guarded and excess > ASTRAY * lowest[0]:
+            trace.move.append(trace.move[-1])
+            trace.excess.append(excess)
+            s, residuals, images, length = lowest[1], [], [], 0.5 * length
+            continue
+        if excess < lowest[0]:
+            lowest = excess, s
         g = _tangential(g, s)
         share = image_areas / image_areas.sum()
         g -= share[:, None] * np.einsum("ij->j", g)
         d = solve(g)
         d -= np.einsum("i,ij->j", share, d)
-        image = centred(unit_rows(s - _without_turn(_tangential(d, s), s, weights)), surface.mass, 1)
+        image = centred(unit_rows(s - length * _without_turn(_tangential(d, s), s, weights)), surface.mass, 1)
         residuals, images = [*residuals[-3:], image - s], [*images[-3:], image]
         move = float(np.sqrt((weights * row_products(residuals[-1], residuals[-1])).sum()))
         trace.move.append(move)
@@ -127,6 +142,10 @@ def descend(
         if still == 6 and best[0] < 1e-6:
             s = best[1]
             break
+    if not (guarded or trace.converged) and trace.excess[-1] > 2 * min(trace.excess):
+        calmer, other = descend(surface, solve, gradient, began, tolerance, steps, report, guarded=True)
+        if gradient(calmer)[2] < gradient(s)[2]:
+            return calmer, other
     return centred(s, surface.mass), trace
 
 

@@ -14,6 +14,8 @@ from .repair import repair
 from .result import SphericalMapResult, certified
 from .surface import Faces, Surface, row_crosses, scaled
 
+CENTRED = 1e-12  # how far from the origin the centre may be
+
 
 def _sphere_mesh(mesh: TriangleMesh) -> Faces:
     """The faces of a closed, connected, orientable mesh of genus 0, oriented consistently; or an error that says what it is instead."""
@@ -68,6 +70,18 @@ def _filled(mesh: TriangleMesh) -> tuple[Floats, Faces]:
     return np.concatenate(vertices), np.concatenate(faces)
 
 
+def _repaired(surface: Surface, s: Floats, task: Task) -> Floats:
+    """Without flips as far as can be, and centred: which rounds anew, and may turn over what is 1e-11 of the sphere and thin."""
+
+    def told(share: float) -> None:
+        task.report(0.9 + 0.1 * share)
+
+    s = centred(repair(surface, s, 8, told), surface.mass)
+    again = repair(surface, s, 2, told)
+    moved = surface.mass @ again / surface.mass.sum()
+    return again if np.abs(moved).max() <= CENTRED and surface.flipped(again).sum() < surface.flipped(s).sum() else s
+
+
 def map_mesh(mesh: TriangleMesh, fill: bool, task: Task) -> SphericalMapResult:
     notes: list[str] = []
     source = mesh if mesh.is_oriented or not mesh.is_orientable or not mesh.is_manifold else mesh.oriented()
@@ -101,7 +115,7 @@ def map_mesh(mesh: TriangleMesh, fill: bool, task: Task) -> SphericalMapResult:
     before = int(surface.flipped(s).sum())
     if before:
         energy, area = surface.energy_and_area(s)
-        s = centred(repair(surface, s, 8, lambda share: task.report(0.9 + 0.1 * share)), surface.mass)
+        s = _repaired(surface, s, task)
         excess, after = energy - area, float(np.subtract(*surface.energy_and_area(s)))
         heavy = ", at the price of larger changes of angle there" if after > 1.2 * excess + 1e-3 else ""
         gone = before - int(surface.flipped(s).sum())
