@@ -638,3 +638,21 @@ def test_a_set_that_is_next_to_never_left_last():
     assert r.share_A == 1
     times = r.mean_first_passage_times
     assert r.rate_constant_backward == pytest.approx(1 / times[1], rel=0.05)
+
+
+@pytest.mark.parametrize("cloud", [False, True])
+def test_turned_grids_have_the_same_committor(cloud):
+    """Where the rim of a set runs through nodes, and where neighbours are equally far, rounding decided: q was .005 off."""
+    mesh = bt.shapes.torus(rows=30, columns=18)
+    x = np.array(mesh.vertices)
+    potential = x[:, 0] + x[:, 1] ** 2
+    order = np.argsort(x[:, 0] + 0.1 * x[:, 1])
+    a, b = order[:3], order[-3:]
+    rng = np.random.default_rng(5)
+    found = []
+    for turn in [np.eye(3)] + [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(4)]:
+        shape = bt.PointCloud(x @ turn, dimension=2) if cloud else bt.TriangleMesh(x @ turn, mesh.faces)
+        found.append(bt.committor(shape, potential, a, b, beta=2.0))
+    for other in found[1:]:
+        assert other.q == pytest.approx(found[0].q, abs=1e-8)
+        assert other.rate == pytest.approx(found[0].rate, rel=1e-8)

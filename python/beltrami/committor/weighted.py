@@ -29,8 +29,9 @@ STEEP = 0.75  # a neighbour whose normal component is a greater part of its dist
 FIT = {1: 8, 2: 24, 3: 48}  # neighbours of the polynomial fits, by dimension
 RIDGE = 1e-3  # how much of their own size is added to the squares of the fits' cubic terms; quadratic ones get its square
 DOUBT = 2.0  # so far, in units of kT, what both ends of an edge say of U at its middle may be apart
+LAST = 0.05  # over which part of the squared distance the weight of neighbours falls to 0 in the end
 CHUNK = 16384  # points fitted at a time: a bound on memory
-SHORTEST = 0.05  # least share of an edge that is left by the cut at the rim of A or B
+SHORTEST = 1e-9  # least share of an edge that is left by the cut at the rim of A or B: of nodes on it rounding decides whether they belong
 ON_RIM = 0.05  # points of a set count as lying on its rim if they are this straight, in units of the spacing
 
 
@@ -96,7 +97,9 @@ def fit(ops: CloudOperators, values: Floats, degree: int = 3, known: Mask | None
         t = np.matmul(offset, frames[part].transpose(0, 2, 1))
         square = np.square(distance)
         same_sheet = np.square(t).sum(2) >= (1 - STEEP * STEEP) * square
-        weight = np.exp(-3.0 * square / np.square(reach[part])[:, None]) * same_sheet
+        share = square / np.square(reach[part])[:, None]
+        # of neighbours that are equally far, as on grids, rounding decides which is the last: those do not count
+        weight = np.exp(-3.0 * share) * np.clip((1 - share) / LAST, 1e-9, 1.0) * same_sheet
         if known is not None:
             weight = weight * known[near]
         basis = monomials(t / reach[part][:, None, None], degree)
