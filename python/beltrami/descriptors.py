@@ -15,6 +15,8 @@ from .shapes import Shape
 
 __all__ = ["hks", "shape_dna", "wks"]
 
+ZERO = 1e-9  # lesser eigenvalues, as a share of the greatest one, are 0 but for rounding
+
 
 def _pairs(shape: Shape | Operators | Eigenpairs, k: int, progress: Progress) -> Eigenpairs:
     """The first k eigenpairs, at most as many as there are."""
@@ -27,7 +29,7 @@ def _pairs(shape: Shape | Operators | Eigenpairs, k: int, progress: Progress) ->
 
 def _positive(pairs: Eigenpairs) -> tuple[Floats, Floats]:
     """Eigenvalues, those that are 0 but for rounding as 0, and the functions."""
-    values = np.where(pairs.values < 1e-9 * pairs.values[-1], 0.0, pairs.values)
+    values = np.where(pairs.values < ZERO * pairs.values[-1], 0.0, pairs.values)
     if not values.any():
         raise InputError("all eigenvalues are 0; ask for more of them, k=")
     return values, pairs.functions
@@ -85,14 +87,24 @@ def hks(
     decay = np.exp(-np.minimum(np.multiply.outer(values, span), 745.0))
     signature: Floats = functions**2 @ decay
     if scaled:
-        signature /= decay.sum(0) / _area(functions)
+        signature /= decay.sum(0) / _area(pairs)
     return signature
 
 
-def _area(functions: Floats) -> float:
-    """Of the shape, from a first eigenfunction that is constant on each component."""
-    filled = functions[:, 0] != 0
-    return float(1 / np.mean(functions[filled, 0] ** 2)) if filled.any() else 1.0
+def _area(pairs: Eigenpairs) -> float:
+    """Of the shape, from the functions of eigenvalue 0: orthonormal, and constant on each component, however these are mixed in them."""
+    zero = pairs.values < ZERO * pairs.values[-1]
+    zero[0] = True
+    rows = pairs.functions[:, zero]
+    squares = np.square(rows).sum(1)  # 1 / area of the component
+    left, area = squares > 1e-24 * squares.max(), 0.0
+    while left.any():
+        one = int(np.argmax(left))
+        along = np.einsum("nk,k->n", rows, rows[one] / np.sqrt(squares[one]))
+        mine = left & (np.square(along) > 0.5 * squares)  # rows of other components are orthogonal
+        area += float(1 / np.mean(squares[mine]))
+        left &= ~mine
+    return area if area > 0 else 1.0
 
 
 def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 100, progress: Progress = None) -> Floats:
@@ -142,7 +154,7 @@ def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 1
     low, high = (logs[0] + 2 * sigma, logs[-1] - 2 * sigma) if logs[-1] - logs[0] > 4 * sigma else (logs[0], logs[-1])
     levels = np.linspace(low, high, count)
     weights = np.exp(-((levels[None, :] - logs[:, None]) ** 2) / (2 * sigma**2))
-    signature: Floats = functions[:, above] ** 2 @ (weights / weights.sum(0)) * _area(functions)
+    signature: Floats = functions[:, above] ** 2 @ (weights / weights.sum(0)) * _area(pairs)
     return signature
 
 
@@ -184,9 +196,5 @@ def shape_dna(shape: Shape | Operators | Eigenpairs, *, k: int = 50, normalize: 
     values: Floats = np.maximum(pairs.values[1:], 0.0)
     if normalize:
         dimension = 2 if pairs.shape is None else pairs.shape.intrinsic_dimension
-        values = values * _total(pairs) ** (2 / dimension)
+        values = values * _area(pairs) ** (2 / dimension)
     return values
-
-
-def _total(pairs: Eigenpairs) -> float:
-    return float(operators(pairs.shape).mass.sum()) if pairs.shape is not None else _area(pairs.functions)
