@@ -1,4 +1,4 @@
-"""Prints the requirements of pyproject.toml, extras included, one a line: what `make build` installs before the wheel itself.
+"""Prints the requirements of pyproject.toml, extras included, one per line: what `make build` installs before the wheel itself.
 
 Readers of trajectories are left out: they are large, and their licences are not those of the rest. So is MPI, which a system must have."""
 

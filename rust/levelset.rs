@@ -36,7 +36,7 @@ const NONE: usize = usize::MAX;
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] if there is not one finite value a vertex, or the level is not finite.
+/// [`Error::Input`] if there is not one finite value per vertex, or the level is not finite.
 pub fn level_set(mesh: &TriangleMesh<'_>, values: &[f64], level: f64) -> Result<Contours> {
     if values.len() != mesh.vertex_count() || !level.is_finite() {
         return Err(Error::input(format!(

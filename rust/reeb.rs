@@ -18,7 +18,7 @@ pub struct Sliced<'a> {
     pub cells: &'a [u32],
     /// 3: triangles, two crossings of one triangle lie on one contour; 2: edges, two crossings that share a vertex do.
     pub size: usize,
-    /// The function, a value a vertex.
+    /// The function, a value per vertex.
     pub values: &'a [f64],
     /// The place of each vertex among all, by value and then by number.
     pub ranks: &'a [u32],

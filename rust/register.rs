@@ -291,14 +291,14 @@ pub struct Rigid {
 /// What [`Rigid::fit`] found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigidFit {
-    /// `Σ_j w_ij (s_i R_i + s_j R_j) / 2 (r_i - r_j)`: the right-hand side for new positions, three numbers a vertex.
+    /// `Σ_j w_ij (s_i R_i + s_j R_j) / 2 (r_i - r_j)`: the right-hand side for new positions, three numbers per vertex.
     pub right: Vec<f64>,
     /// `1/2 Σ_ij w_ij |x_j - x_i - R_i (r_j - r_i)|^2`, without scales.
     pub energy: f64,
 }
 
 impl Rigid {
-    /// Weights w_ij >= 0 between neighbours (symmetric, without a diagonal) and positions at rest, three numbers a vertex.
+    /// Weights w_ij >= 0 between neighbours (symmetric, without a diagonal) and positions at rest, three numbers per vertex.
     ///
     /// ```
     /// use beltrami::{Csr, register::Rigid};
@@ -329,7 +329,7 @@ impl Rigid {
     /// scale, between 1/2 and 2, to this power.
     ///
     /// # Errors
-    /// [`Error::Input`] if there are not three finite numbers a vertex.
+    /// [`Error::Input`] if there are not three finite numbers per vertex.
     pub fn fit(&self, positions: &[f64], stretch: f64) -> Result<RigidFit> {
         let n = self.rest.len();
         if positions.len() != 3 * n {

@@ -205,7 +205,7 @@ impl Elements {
         });
     }
 
-    /// `G^T diag(a) X` of a field with `channels * coordinates` numbers an element: the negative divergence times the mass.
+    /// `G^T diag(a) X` of a field with `channels * coordinates` numbers per element: the negative divergence times the mass.
     ///
     /// # Errors
     /// [`Error::Input`] if sizes do not fit.

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// What [`excess_gradient`] finds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExcessGradient {
-    /// Gradient of E - A by the positions, three numbers a vertex.
+    /// Gradient of E - A by the positions, three numbers per vertex.
     pub gradient: Vec<f64>,
     /// Lumped (unsigned) image area of each vertex.
     pub areas: Vec<f64>,
@@ -52,8 +52,8 @@ fn share(p: [[f64; 3]; 3], cotangents: &[f64], weight: Option<f64>) -> Share {
 
 /// Gradient of E - A, face by face from edge differences.
 ///
-/// `positions` has three numbers a vertex, `cotangents` three a face, of the source's corners. Areas count with the sign of
-/// p · ((q - p) x (r - p)); with `weights` (one a face) unsigned and times the weight, and `cotangents` must hold the weights already.
+/// `positions` has three numbers per vertex, `cotangents` three per face, of the source's corners. Areas count with the sign of
+/// p · ((q - p) x (r - p)); with `weights` (one per face) unsigned and times the weight, and `cotangents` must hold the weights already.
 ///
 /// ```
 /// use beltrami::{Control, sphere::excess_gradient};

@@ -1,6 +1,6 @@
 """Distances between all pairs of a collection: on one machine or on a cluster, resumable, the same bits everywhere.
 
-The work is cut into tasks: one a shape (its eigenmap or spectrum, kept on disk), then one a tile of pairs. Any executor with
+The work is cut into tasks: one per shape (its eigenmap or spectrum, kept on disk), then one per tile of pairs. Any executor with
 ``submit`` runs them: ``concurrent.futures``, ``dask.distributed.Client``, ``mpi4py.futures``, ``loky``. Finished tasks are files; a run
 that was killed goes on where it was. A shape that cannot be read is a row of the report.
 """
@@ -173,7 +173,7 @@ class DistanceMatrix:
             The embedding into the plane; the matrix; a tree by average linkage; the embedding with arrows to nearest neighbours.
         path : path, optional
         classes : sequence, optional
-            One a shape: its colour.
+            One per shape: its colour.
 
         Raises
         ------
@@ -391,27 +391,27 @@ def distance_matrix(
     rng: int = 0,
     progress: Progress = None,
 ) -> DistanceMatrix:
-    """Distances between all pairs of shapes, of any number of points each.
+    """Compute the distances between all pairs of shapes.
 
     Parameters
     ----------
     shapes : sequence of TriangleMesh, PointCloud or path
-        Files are read where the work is done.
+        Files are read by the worker that needs them.
     method : {"rswd", "shape_dna"} or callable
         ``"rswd"``: the rotation-invariant sliced Wasserstein distance of the eigenmaps ``λ_k^(-d/4) φ_k`` of unit area, k up to 20, at 300
-        farthest points: no bending and no mirror changes it. ``"shape_dna"``: Euclidean distance of the first 50 eigenvalues times
-        area; quicker, but not all shapes differ in it. Or ``method(first, second)``, a function of two shapes that the executor can carry.
+        farthest points: neither bending nor reflection changes it. ``"shape_dna"``: Euclidean distance of the first 50 eigenvalues times
+        area; faster, but some different shapes have the same. Or ``method(first, second)``, a function of two shapes that can be pickled.
     executor : object with ``submit(fn, *args)``, optional
-        ``concurrent.futures``, ``dask.distributed.Client``, ``mpi4py.futures.MPIPoolExecutor``, ``loky``. None: here and now.
+        ``concurrent.futures``, ``dask.distributed.Client``, ``mpi4py.futures.MPIPoolExecutor``, ``loky``. None: in this process.
     checkpoint : path, optional
-        A folder for what is done. A call with the same shapes and options reads it and does the rest only. A callable is known by
-        its module and name: clear the folder when you change it.
+        A folder for finished work. A call with the same shapes and options reads it and computes only the rest. A callable is
+        identified by its module and name: clear the folder when you change it.
     cache : path, optional
-        A folder for eigenmaps, to be shared between collections; in the checkpoint if left out.
+        A folder for eigenmaps that collections can share; by default within the checkpoint.
     labels : sequence of str, optional
-        Names; those of the files, or numbers.
+        Names of the shapes; by default those of the files, or numbers.
     threads : int
-        How many each task may use in a worker process.
+        How many threads each task may use in a worker process.
     rng : int
         Seed of the directions.
     progress : callable or True, optional
@@ -426,7 +426,7 @@ def distance_matrix(
     Raises
     ------
     InputError
-        Options do not fit. A shape that cannot be used is no error: it is in ``failures``, and its distances are ``inf``.
+        Options do not fit. A shape that cannot be used is not an error: it is listed in ``failures``, and its distances are ``inf``.
     Cancelled
         If ``progress`` returned False.
 
@@ -450,7 +450,7 @@ def distance_matrix(
     if executor is not None and not hasattr(executor, "submit"):
         raise InputError(f"executor is a {type(executor).__name__}; an object with submit(fn, *args) is needed")
     if labels is not None and (isinstance(labels, str) or not isinstance(labels, Iterable)):
-        raise InputError(f"labels is {labels!r}; a list of names is needed, one a shape")
+        raise InputError(f"labels is {labels!r}; a list of names is needed, one per shape")
     names = tuple(str(label) for label in labels) if labels is not None else tuple(_name(m, i) for i, m in enumerate(members))
     if len(names) != count:
         raise InputError(f"{len(names)} labels for {count} shapes")

@@ -50,7 +50,7 @@ class Lagrangian:
     exponent : float
         q, above 1 and up to 2.
     weight : float or ndarray (m,)
-        A positive number, or one a triangle: large where it is slow to go.
+        A positive number, or one per triangle: large where it is slow to go.
     """
 
     exponent: float = 2.0
@@ -64,7 +64,7 @@ class Lagrangian:
         if isinstance(self.weight, float):
             return np.full(count, self.weight)
         if len(self.weight) != count:
-            raise InputError(f"weight has {len(self.weight)} numbers, the shape has {count} triangles; give one a triangle")
+            raise InputError(f"weight has {len(self.weight)} numbers, the shape has {count} triangles; give one per triangle")
         return self.weight
 
 
@@ -85,7 +85,7 @@ def kinetic(weight: npt.ArrayLike = 1.0) -> Lagrangian:
     Parameters
     ----------
     weight : float or array_like (m,)
-        One a triangle makes obstacles: a wall is where it is 100.
+        One per triangle makes obstacles: a wall is where it is 100.
 
     Returns
     -------
@@ -306,7 +306,7 @@ def _per_vertex(values: Any, name: str, least: float | None = None) -> Floats:
 
 def _fits(values: Floats, count: int, name: str) -> None:
     if len(values) != count:
-        raise InputError(f"{name} has {len(values)} values, the shape has {count} vertices; give one a vertex")
+        raise InputError(f"{name} has {len(values)} values, the shape has {count} vertices; give one per vertex")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

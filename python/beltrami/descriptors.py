@@ -38,20 +38,22 @@ def _positive(pairs: Eigenpairs) -> tuple[Floats, Floats]:
 def hks(
     shape: Shape | Operators | Eigenpairs, *, times: int | npt.ArrayLike = 16, k: int = 100, scaled: bool = True, progress: Progress = None
 ) -> Floats:
-    """The heat kernel signature: how much of the heat put at a point is still there after some times.
+    """The heat kernel signature: how much of the heat put at a point is still there after a given time.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud, Operators or Eigenpairs
         Eigenpairs are used as they are (the first k).
     times : int or (T,) array
-        Times, in units of length² ; or how many, spread evenly in the logarithm over what k eigenpairs can tell,
+        Times, in units of length²; or how many, evenly spaced in the logarithm over the range that k eigenpairs resolve,
         ``4 ln 10 / λ_k`` to ``4 ln 10 / λ_1`` (λ_1 the first above 0).
     k : int
         How many eigenpairs; fewer if the shape has no more.
     scaled : bool
-        Whether each time is divided by the mean over the shape, so that all times count alike and units cancel. Otherwise 1 / area.
+        Whether to divide by the mean over the shape at each time, so that all times count equally and units cancel. Otherwise the
+        unit is 1 / area.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -108,10 +110,10 @@ def _area(pairs: Eigenpairs) -> float:
 
 
 def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 100, progress: Progress = None) -> Floats:
-    """The wave kernel signature: how probable it is to meet a quantum particle of some energies at a point.
+    """The wave kernel signature: the probability of finding a quantum particle of a given energy at a point.
 
-    Energies are spread evenly in log λ; each one's eigenfunctions are weighted by a Gaussian of 7 spacings, normalized. Where the
-    heat kernel blurs, the wave kernel tells details apart.
+    Energies are evenly spaced in log λ; each weights the eigenfunctions by a normalized Gaussian of 7 spacings. It distinguishes
+    details that the heat kernel blurs.
 
     Parameters
     ----------
@@ -122,11 +124,12 @@ def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 1
     k : int
         How many eigenpairs; fewer if the shape has no more.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
     (n, energies) array
-        Times the area: without units, 1 on average.
+        Multiplied by the area, so without units and 1 on average.
 
     Raises
     ------
@@ -159,7 +162,7 @@ def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 1
 
 
 def shape_dna(shape: Shape | Operators | Eigenpairs, *, k: int = 50, normalize: bool = True, progress: Progress = None) -> Floats:
-    """The shape DNA: the first k eigenvalues above the constant's, a fingerprint that no bending changes.
+    """The shape DNA: the first k eigenvalues after that of the constant function, which bending does not change.
 
     Parameters
     ----------
@@ -167,8 +170,9 @@ def shape_dna(shape: Shape | Operators | Eigenpairs, *, k: int = 50, normalize: 
     k : int
         How many.
     normalize : bool
-        Times the area (for dimension 2; its power 2 / d in general), so that size does not count.
+        Whether to multiply by the area (its power 2 / d in dimension d), so that size does not matter.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -178,7 +182,7 @@ def shape_dna(shape: Shape | Operators | Eigenpairs, *, k: int = 50, normalize: 
     Raises
     ------
     InputError
-        ``k`` is out of range, or ``shape`` is none.
+        ``k`` is out of range, or ``shape`` is not a shape.
     ConvergenceError
         The eigenpairs did not converge.
 

@@ -116,10 +116,10 @@ def eigenpairs(
     start: Any = None,
     progress: Progress = None,
 ) -> Eigenpairs:
-    """The k smallest eigenpairs of the Laplacian of a shape, or of a pencil of matrices; or those nearest to a number.
+    """Compute the k smallest eigenpairs of the Laplacian of a shape or of a matrix pencil, or those nearest to a number.
 
-    Block shift-invert Lanczos on one Cholesky factor; small problems are solved densely. A pair that has not converged is never
-    handed out. The same input gives the same bits.
+    Block shift-invert Lanczos with one Cholesky factor; small problems are solved densely. A pair that has not converged is never
+    returned. The same input gives the same bits.
 
     Parameters
     ----------
@@ -128,14 +128,14 @@ def eigenpairs(
     k : int
         How many, at most the number of vertices that have mass.
     mass : array_like (n,) or sparse matrix (n, n), optional
-        With a matrix: the diagonal mass, or a positive definite one; ones if left out. Not allowed with a shape.
+        For a matrix: the mass, diagonal or positive definite; the identity by default. Not allowed with a shape.
     shift : float, optional
-        The k eigenvalues nearest to this number are found, wherever it lies; without it the smallest ones. Inside the spectrum the
-        factorization takes pivots and is some times slower; on an eigenvalue there is none.
+        Find the k eigenvalues nearest to this number, wherever it lies, instead of the smallest ones. Inside the spectrum the
+        factorization needs pivoting and is a few times slower; exactly at an eigenvalue it does not exist.
     start : array_like (n, w), optional
-        Vectors near the wanted ones, e.g. those of a similar shape with the same vertices: fewer solves are needed.
+        Vectors close to the wanted ones, e.g. those of a similar shape with the same vertices, which save solves.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops with :class:`Cancelled`.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------

@@ -34,23 +34,23 @@ _NO_FACES = np.zeros((0, 3), np.int32)
 def load(
     source: Any, *, weld: bool | None = None, format: Format | None = None, dimension: int = 2, progress: Progress = None
 ) -> TriangleMesh | PointCloud:
-    """A surface or a cloud from a file, or from what another package holds.
+    """Load a surface or a point cloud from a file, or convert an object of another package.
 
     Vertices keep their order and are never merged unless asked. Polygons become triangles, n - 2 each, in order; faces of
-    fewer than three corners are passed over. What has no triangle comes as a :class:`PointCloud`.
+    fewer than three corners are skipped. Without any triangle the result is a :class:`PointCloud`.
 
     Parameters
     ----------
     source : str, PathLike, binary file, or object
         OBJ, PLY (ASCII, little- and big-endian), STL, OFF / COFF / NOFF, XYZ, PTS, CSV, each also as gzip, are read by this
         library; GIFTI and FreeSurfer surfaces through nibabel (``pip install 'beltrami[neuro]'``); glTF, 3MF and whatever else
-        trimesh reads through trimesh. Objects of trimesh, pyvista, open3d and meshio are taken as they are, and so are
+        trimesh reads through trimesh. Objects of trimesh, pyvista, open3d and meshio are accepted too, and so are
         a pair (vertices, faces) and an array of points (n, D).
     weld : bool, optional
-        Whether vertices at equal positions become one (the first, with its data). By default for STL files only, which have no
-        shared vertices.
+        Whether vertices at equal positions are merged (the first is kept, with its data). By default only for STL files, which
+        have no shared vertices.
     format : {"obj", "ply", "stl", "off", "xyz", "pts", "csv"}, optional
-        Where the file's name does not tell it.
+        The format, if the file's name does not tell it.
     dimension : int
         Intrinsic dimension of a cloud, for :class:`PointCloud`.
     progress : callable or True, optional
@@ -102,12 +102,12 @@ def load(
 
 
 def load_values(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
-    """Reads numbers of the vertices, in the order of the file: an image for a shape that is another file.
+    """Read values of vertices from a file, in its order, for a shape that comes from another file.
 
     Parameters
     ----------
     path : path
-        ``.npy``; ``.npz`` with one array; text with a row a vertex (``.csv`` with commas, others with spaces; a first line of words is a
+        ``.npy``; ``.npz`` with one array; text with a row per vertex (``.csv`` with commas, others with spaces; a first line of words is a
         heading); curv files of FreeSurfer (``lh.sulc``, ``lh.thickness`` ...); GIFTI, FreeSurfer's ``.annot``, ``.mgh`` and ``.mgz``
         through nibabel (``pip install 'beltrami[neuro]'``).
 
@@ -156,7 +156,7 @@ def load_values(path: str | os.PathLike[str]) -> npt.NDArray[Any]:
     try:
         lines = content.decode("utf-8-sig").splitlines()
         if not any(line.strip() for line in lines):
-            raise FileError(f"{path} is empty; a row a vertex is needed")
+            raise FileError(f"{path} is empty; a row per vertex is needed")
         separator = "," if suffix == ".csv" else None
         rows = np.loadtxt(lines, delimiter=separator, skiprows=int(_is_heading(lines[0], separator)))
     except ValueError as error:
@@ -192,12 +192,12 @@ def _values_by_nibabel(path: Path, suffix: str) -> npt.NDArray[Any]:
 
 
 def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = None, ascii: bool = False, progress: Progress = None) -> None:
-    """Writes a surface or a cloud to a file; the format is that of the name, a final ``.gz`` packs it.
+    """Write a surface or a point cloud to a file; the suffix gives the format, and a final ``.gz`` compresses it.
 
-    PLY holds everything: coordinates of any dimension, and every array of ``.data`` with its type. OBJ holds colours (as shares
+    PLY stores everything: coordinates of any dimension, and every array of ``.data`` with its type. OBJ holds colours (as shares
     of 1), texture coordinates and normals; OFF colours and normals; XYZ normals; PTS colours; CSV columns. What a format has no
     place for is left out with a warning that names it. Reals are written so that they read back as the same bits; binary STL alone
-    has single precision. What lies in the plane gets height 0 in formats of space. A missing folder is made.
+    has single precision. Plane shapes get height 0 in formats of three dimensions. A missing folder is created.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def save(shape: Any, path: str | os.PathLike[str], *, format: Format | None = No
     path : str or PathLike
         Ends in .ply, .obj, .off, .stl, or for clouds also .xyz, .pts, .csv; each may be followed by .gz.
     format : {"obj", "ply", "stl", "off", "xyz", "pts", "csv"}, optional
-        Where the name does not tell it.
+        The format, if the name does not tell it.
     ascii : bool
         Text also for PLY and STL, which are binary by default.
     progress : callable or True, optional

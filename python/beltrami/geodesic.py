@@ -103,9 +103,9 @@ def _remake(ops: Operators, time_factor: float) -> HeatMethod:
 
 
 def geodesic_distance(shape: Shape | Operators, sources: Any, *, time_factor: float = 1.0, progress: Progress = None) -> Floats:
-    """Geodesic distance to the nearest of one or many sources, by the heat method.
+    """Compute the geodesic distance to the nearest of one or many sources, by the heat method.
 
-    For several sets of sources on one shape keep a :class:`HeatMethod`.
+    For several sets of sources on one shape, use a :class:`HeatMethod`.
 
     Parameters
     ----------
@@ -115,6 +115,7 @@ def geodesic_distance(shape: Shape | Operators, sources: Any, *, time_factor: fl
     time_factor : float
         Time of the heat flow in units of the squared spacing.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -123,12 +124,12 @@ def geodesic_distance(shape: Shape | Operators, sources: Any, *, time_factor: fl
 
     Notes
     -----
-    Where a weight of the mesh's stiffness is positive the tufted cover is used; see :class:`HeatMethod`.
+    If an off-diagonal entry of the mesh's stiffness is positive, the tufted cover is used; see :class:`HeatMethod`.
 
     Raises
     ------
     InputError
-        No source, one that is no vertex, or a shape without triangles.
+        There is no source, a source is not a vertex, or the shape has no triangles.
 
     References
     ----------

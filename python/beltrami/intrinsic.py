@@ -58,7 +58,7 @@ class IntrinsicTriangulation:
 class IntrinsicOperators(Operators):
     """Operators on an intrinsic triangulation: ``triangulation`` has its triangles, m of them.
 
-    Vector fields have two coordinates a triangle, (m, 2), in the frame whose first axis runs from its corner 0 to its corner 1.
+    Vector fields have two coordinates per triangle, (m, 2), in the frame whose first axis runs from its corner 0 to its corner 1.
     """
 
     shape: TriangleMesh

@@ -62,9 +62,9 @@ def functional_map_of(
         Index in the target of each source point.
     source, target : TriangleMesh, PointCloud, Operators or Eigenpairs
     k : int
-        How many eigenfunctions, the constant one among them.
+        How many eigenfunctions, including the constant one.
     orthogonal : bool
-        Whether to take the nearest orthogonal matrix: what a map that keeps areas would have.
+        Whether to return the nearest orthogonal matrix, as for a map that preserves areas.
 
     Returns
     -------
@@ -141,27 +141,27 @@ def transfer(
     target: Shape | None = None,
     weights: npt.ArrayLike | None = None,
 ) -> npt.NDArray[Any]:
-    """Carries values, colours or labels over along a point map from source to target.
+    """Transfer values, colours or labels along a point map from source to target.
 
     Parameters
     ----------
     point_map : (n,) int array
         Index in the target of each source point.
     values : array
-        A row a point: on the target for ``"to_source"``, on the source for ``"to_target"``. Integers and booleans are labels.
+        A row per point: on the target for ``"to_source"``, on the source for ``"to_target"``. Integers and booleans are labels.
     direction : {"to_source", "to_target"}
-        To the source each point takes its image's value. To the target each point takes the weighted mean of those that are
-        mapped to it (the most frequent label, of equally frequent ones the least), and where none is, what the nearest point that has
-        a value has.
+        ``"to_source"``: each source point takes the value of its image. ``"to_target"``: each target point takes the weighted mean of
+        the points mapped to it (for labels the most frequent one, in a tie the smallest), or if there are none, the value of the
+        nearest point that has one.
     target : TriangleMesh or PointCloud
-        With ``"to_target"``: how many points there are, and which are near.
+        Needed for ``"to_target"``: the number of points, and which are close.
     weights : (n,) array, optional
-        With ``"to_target"``: e.g. the masses of the source.
+        For ``"to_target"``: weights of the source points, e.g. their masses.
 
     Returns
     -------
     array
-        A row a point, of the same dtype (float64 for means).
+        A row per point, of the same dtype (float64 for means).
 
     Raises
     ------
@@ -199,7 +199,7 @@ def transfer(
     hit = np.flatnonzero(total > 0)
     if table.dtype.kind in "bui":
         if table.ndim != 1:
-            raise InputError(f"labels have shape {table.shape}; one a point is needed")
+            raise InputError(f"labels have shape {table.shape}; one per point is needed")
         names, numbers = np.unique(table, return_inverse=True)
         votes = scipy.sparse.csr_array((share, (image, numbers)), shape=(len(places), len(names)))
         result = np.zeros(len(places), table.dtype)
@@ -311,7 +311,7 @@ def evaluate_map(
     points: npt.ArrayLike | int | None = None,
     rng: int | np.random.Generator | None = 0,
 ) -> MapEvaluation:
-    """Scores a point map: geodesic errors against a truth, coverage, Dirichlet energy.
+    """Score a point map: geodesic errors against the true map, coverage, Dirichlet energy.
 
     Parameters
     ----------
@@ -319,11 +319,11 @@ def evaluate_map(
         Index in the target of each source point.
     source, target : TriangleMesh, PointCloud or Operators
     truth : (n,) int array, optional
-        The right index in the target of each source point.
+        The correct index in the target of each source point.
     points : (q,) int array or int, optional
-        Which source points to compare with the truth, or how many of them, drawn at random. All if left out.
+        Which source points to compare with the truth, or how many of them to draw at random. All by default.
     rng : int or numpy Generator, optional
-        What the points are drawn with.
+        Seed or generator for drawing the points.
 
     Returns
     -------
@@ -374,7 +374,7 @@ def _distances(graph: scipy.sparse.csr_array, sources: Indices, ends: Indices) -
 
 
 def coverage(point_map: npt.NDArray[Any], mass: Floats) -> float:
-    """The share of the target's area (``mass``, one a point) that lies at images of a point map."""
+    """The share of the target's area (``mass``, one per point) that lies at images of a point map."""
     hit = np.zeros(len(mass), bool)
     hit[point_map] = True
     return float(mass[hit].sum() / mass.sum())

@@ -40,7 +40,7 @@ def _queries(value: Places, name: str, dimension: int) -> Floats:
 
 
 def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Progress = None) -> tuple[Ints, Floats]:
-    """The k nearest points to each query, exactly, in any dimension.
+    """Find the k points nearest to each query, exactly, in any dimension.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
     k : int
         From 1 to n.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -68,8 +68,8 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
 
     Notes
     -----
-    A kd-tree with tight boxes, searched exactly; for k = 1 in many dimensions, products of matrices and a second look at what
-    rounding leaves open. What is found is what comparing with every point finds, and the same bits on any number of threads.
+    The search uses a kd-tree with tight boxes; for k = 1 in many dimensions, it uses products of matrices and rechecks what rounding
+    leaves open. The result is that of comparing with every point, and bit-for-bit the same on any number of threads.
     "Equally near" compares squared distances as computed in double precision.
 
     Examples
@@ -92,17 +92,18 @@ def nearest_neighbors(points: Places, queries: Places, k: int, *, progress: Prog
 def neighbors_within(
     points: Places, queries: Places, radius: float, *, progress: Progress = None
 ) -> tuple[npt.NDArray[np.int64], Ints, Floats]:
-    """All points within a radius of each query, exactly, in any dimension.
+    """Find all points within a radius of each query, exactly, in any dimension.
 
     Parameters
     ----------
     points : (n, D) array, or a shape
         May repeat.
     queries : (m, D) array, or a shape
+        The points themselves, or others.
     radius : float
         At least 0; a point at exactly this distance counts.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -139,7 +140,7 @@ def _mesh(mesh: TriangleMesh) -> tuple[Floats, Ints]:
 
 @dataclass(frozen=True, eq=False)
 class ClosestPointsResult:
-    """What :func:`closest_points` found, a row a query.
+    """What :func:`closest_points` found, a row per query.
 
     Attributes
     ----------
@@ -164,15 +165,16 @@ class ClosestPointsResult:
 
 
 def closest_points(mesh: TriangleMesh, queries: Places, *, progress: Progress = None) -> ClosestPointsResult:
-    """The point of a triangle mesh that is closest to each query, exactly, in R^D.
+    """Find the point of a triangle mesh that is closest to each query, exactly, in R^D.
 
     Parameters
     ----------
     mesh : TriangleMesh
         At least one face. Degenerate triangles count as the segments or points that they are.
     queries : (q, D) array
+        Points in the space of the mesh.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -185,8 +187,8 @@ def closest_points(mesh: TriangleMesh, queries: Places, *, progress: Progress = 
 
     Notes
     -----
-    A tree of boxes over the triangles along a Hilbert curve, all in double precision: distances are good to some 1e-15 of the extent
-    of mesh and queries, and the same bits on any number of threads.
+    The search uses a tree of bounding boxes along a Hilbert curve, in double precision: distances are accurate to some 1e-15 of the
+    extent of mesh and queries, and bit-for-bit the same on any number of threads.
 
     Examples
     --------
@@ -203,7 +205,7 @@ def closest_points(mesh: TriangleMesh, queries: Places, *, progress: Progress = 
 
 @dataclass(frozen=True, eq=False)
 class RayHitsResult:
-    """Where :func:`intersect_rays` found each ray to meet the mesh first, a row a ray.
+    """Where :func:`intersect_rays` found each ray to meet the mesh first, a row per ray.
 
     Attributes
     ----------
@@ -227,7 +229,7 @@ class RayHitsResult:
 
 
 def intersect_rays(mesh: TriangleMesh, origins: npt.ArrayLike, directions: npt.ArrayLike, *, progress: Progress = None) -> RayHitsResult:
-    """The first point of a triangle mesh in R^3 that each ray meets.
+    """Find the first point of a triangle mesh in R^3 that each ray meets.
 
     Parameters
     ----------
@@ -236,9 +238,9 @@ def intersect_rays(mesh: TriangleMesh, origins: npt.ArrayLike, directions: npt.A
     origins : (r, 3) array
         A ray that starts on the mesh hits it there, at distance 0.
     directions : (r, 3) array
-        Of any length above 0.
+        Of any positive length.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -274,7 +276,7 @@ def intersect_rays(mesh: TriangleMesh, origins: npt.ArrayLike, directions: npt.A
 
 
 def normals(points: npt.ArrayLike | PointCloud, *, neighbors: int = 16, progress: Progress = None) -> Floats:
-    """Unit normals of points on a surface of dimension D - 1 in R^D, oriented alike and, on closed surfaces, outwards.
+    """Estimate unit normals of points on a surface of dimension D - 1 in R^D, oriented consistently and, on closed surfaces, outwards.
 
     Parameters
     ----------
@@ -283,7 +285,7 @@ def normals(points: npt.ArrayLike | PointCloud, *, neighbors: int = 16, progress
     neighbors : int
         How many nearest points, itself included, a normal is estimated from; at least D. At most n are used.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -296,9 +298,9 @@ def normals(points: npt.ArrayLike | PointCloud, *, neighbors: int = 16, progress
 
     Notes
     -----
-    A normal is the direction in which the neighbours vary least. Signs are carried along a minimum spanning forest of the graph of
-    neighbours, across an edge by reflection. In each connected piece of that graph the point farthest from the piece's mean has its
-    normal pointing away from it. A surface without a consistent orientation (a Möbius strip) gets a seam.
+    A normal is the direction in which the neighbours vary least. Signs are propagated along a minimum spanning forest of the graph of
+    neighbours, by reflection across each edge. In each component of that graph the normal of the point farthest from the mean of the
+    component points away from the mean. A surface without a consistent orientation (a Möbius strip) gets a seam.
 
     References
     ----------

@@ -26,7 +26,7 @@ def save_result(
     values: Sequence[str] = (),
     pictures: Sequence[str] = (".png", ".html"),
 ) -> Path:
-    """Writes a result: everything to ``.npz``; the shape to ``.ply`` with those fields, named as ``values``, that have a row a vertex; by
+    """Writes a result: everything to ``.npz``; the shape to ``.ply`` with those fields, named as ``values``, that have a row per vertex; by
     their suffixes what ``kinds`` write; what its ``plot`` paints to ``pictures``.
 
     Raises

@@ -13,7 +13,7 @@ __all__ = ["farthest_points", "poisson_disc"]
 
 
 def farthest_points(points: Places, k: int, *, start: int = 0, progress: Progress = None) -> Ints:
-    """k points, each the farthest (straight through space) from all those before it.
+    """Choose k points, each the farthest (in a straight line) from all those before it.
 
     Parameters
     ----------
@@ -23,11 +23,12 @@ def farthest_points(points: Places, k: int, *, start: int = 0, progress: Progres
     start : int
         The first one.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
     ndarray (k,) of int32
-        Their numbers, in the order of choice; equally far ones by number. The first j of them are the answer for j.
+        Their indices, in the order of choice; ties go to the lower index. The first j of them are the answer for j.
 
     Raises
     ------
@@ -52,7 +53,7 @@ def farthest_points(points: Places, k: int, *, start: int = 0, progress: Progres
 
 
 def poisson_disc(points: Places, radius: float, *, rng: int | np.random.Generator | None = None, progress: Progress = None) -> Ints:
-    """Points no two of which are nearer than a radius, while every other point is nearer than it to one of them.
+    """Choose points such that no two are closer than a radius, and every other point is closer than that to one of them.
 
     Parameters
     ----------
@@ -60,13 +61,14 @@ def poisson_disc(points: Places, radius: float, *, rng: int | np.random.Generato
     radius : float
         In units of length.
     rng : int or numpy Generator, optional
-        Points are tried in a random order; without it, in that of their numbers.
+        Points are tried in a random order; without it, in the order of their indices.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
     ndarray (k,) of int32
-        Their numbers, in the order of choice.
+        Their indices, in the order of choice.
 
     Raises
     ------

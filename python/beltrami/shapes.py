@@ -746,8 +746,8 @@ def figure_eight(*, ring_radius: float = 1.0, tube_radius: float = 0.35, resolut
         Of the circles and of the tubes; the tube may have 0.7 of the ring's radius.
     resolution : int
         Cells across a tube; the triangles' edges are about 2 tube_radius / resolution.
-    progress : bool or callable, optional
-        True for a bar, or a callable of the share done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Raises
     ------
@@ -800,8 +800,8 @@ def star(
         From the origin to the centre of the round end; the tube may be half as thick as its arm is long.
     resolution : int
         Cells across a tube; the triangles' edges are about 2 tube_radius / resolution.
-    progress : bool or callable, optional
-        True for a bar, or a callable of the share done; returning False stops.
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Raises
     ------

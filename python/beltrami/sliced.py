@@ -91,9 +91,9 @@ def sliced_wasserstein(
     rng: int | np.random.Generator | None = 0,
     progress: Progress = None,
 ) -> float:
-    """The sliced Wasserstein distance of order 2 between two weighted point sets.
+    """Compute the sliced Wasserstein distance of order 2 between two weighted point sets.
 
-    The root of the mean, over unit directions, of the squared optimal transport cost between the two projections.
+    The square root of the mean, over unit directions, of the squared Wasserstein distance between the two projections.
 
     Parameters
     ----------
@@ -102,14 +102,14 @@ def sliced_wasserstein(
         In the same units; numbers of points may differ.
     source_weights : (n,) array, optional
     target_weights : (m,) array, optional
-        At least 0; divided by their sums. None: all points alike.
+        At least 0; divided by their sums. None: equal weights.
     directions : int or (T, D) array
-        How many at least (drawn by :func:`orthonormal_directions`), or unit vectors.
+        Minimum number (drawn by :func:`orthonormal_directions`), or unit vectors.
     rng : int or numpy Generator
-        What directions are drawn with. Distances of calls with the same seed are over the same directions, and so satisfy the triangle
+        Seed or generator for the directions. Calls with the same seed use the same directions, so their distances satisfy the triangle
         inequality.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -281,35 +281,35 @@ def rotation_invariant_sliced_wasserstein(
     tolerance: float = 1e-10,
     progress: Progress = None,
 ) -> RotationInvariantSlicedWassersteinResult:
-    """The least sliced Wasserstein distance over all rotations and reflections of one point set.
+    """Compute the smallest sliced Wasserstein distance over all rotations and reflections of one point set.
 
-    From several rotations R the chapter's alternation: project ``source @ R`` and ``target``, couple the projections, collect
-    ``H = 1/T sum_t X^T D_t Y theta_t theta_t^T``, take ``R = U V^T`` of its singular value decomposition, and again. It is run in both
-    orders, ``source`` to ``target`` and back, which differ for finitely many directions; the less of both is returned, so the distance
-    is symmetric.
+    Runs the chapter's alternation from several rotations R: project ``source @ R`` and ``target``, couple the projections, form
+    ``H = 1/T sum_t X^T D_t Y theta_t theta_t^T``, take ``R = U V^T`` from its singular value decomposition, and repeat. This is done in
+    both orders, ``source`` to ``target`` and back, which differ for finitely many directions. The smaller value is returned, so the
+    distance is symmetric.
 
     Parameters
     ----------
     source : (n, D) array
     target : (m, D) array
-        In the same units; numbers of points may differ. They are turned about the origin and not shifted: subtract means first
-        if shifts do not matter.
+        In the same units; numbers of points may differ. They are rotated about the origin and not shifted: subtract the means first
+        if shifts should not matter.
     source_weights : (n,) array, optional
     target_weights : (m,) array, optional
-        At least 0; divided by their sums. None: all points alike.
+        At least 0; divided by their sums. None: equal weights.
     directions : int or (T, D) array
-        How many at least (drawn by :func:`orthonormal_directions`), or unit vectors. With vectors in no orthonormal blocks the
+        Minimum number (drawn by :func:`orthonormal_directions`), or unit vectors. With vectors in no orthonormal blocks the
         alternation ends where it would rise.
     rng : int or numpy Generator
-        What directions and some of the starts are drawn with.
+        Seed or generator for the directions and some of the starts.
     starts : (k, D, D) array, optional
         Rotations to begin with, instead of principal axes with all signs and some at random.
     max_iterations : int
         Steps of the last run in each order.
     tolerance : float
-        A run has converged when a step lessens the squared distance by less than this, relatively.
+        A run has converged when a step reduces the squared distance by less than this, relatively.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -325,8 +325,8 @@ def rotation_invariant_sliced_wasserstein(
 
     Notes
     -----
-    Steps are lengthened by Nesterov's extrapolation where that lessens the objective. It has many local minima. What is returned is
-    the best one found; more can be tried with ``starts``.
+    Steps are extended by Nesterov extrapolation where that reduces the objective. The objective has many local minima; the best one
+    found is returned. More can be tried with ``starts``.
 
     Examples
     --------

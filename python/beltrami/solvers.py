@@ -32,7 +32,7 @@ class Cholesky:
     coordinates : (n, D) array, optional
         Where the unknowns are, e.g. the vertices of the mesh; they lead to a good order faster.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Raises
     ------
@@ -200,6 +200,7 @@ class PoissonSolver:
     tolerance : float
         Relative residual at which the multilevel iteration stops, or where rounding stops it.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     References
     ----------
@@ -241,7 +242,7 @@ class PoissonSolver:
         f : array_like (n,) or (n, k)
             Values at the vertices. Their mean on each component is taken off first, for else there is no solution.
         strict : bool
-            Refuse an f whose mean is not zero instead.
+            Refuse an f whose mean is not zero, instead of subtracting it.
 
         Returns
         -------
@@ -273,10 +274,11 @@ def solve_poisson(shape: Shape | Operators, f: npt.ArrayLike, *, strict: bool = 
     ----------
     shape : TriangleMesh, PointCloud or Operators
     f : array_like (n,) or (n, k)
-        Values at the vertices; their mean on each component is taken off first.
+        Values at the vertices; their mean on each component is subtracted first.
     strict : bool
-        Refuse an f whose mean is not zero instead.
+        Refuse an f whose mean is not zero, instead of subtracting it.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------

@@ -8,8 +8,8 @@ __all__ = ["num_threads", "set_num_threads"]
 
 
 def num_threads() -> int:
-    """How many threads are used: what :func:`set_num_threads` said last, else the environment variable ``BELTRAMI_NUM_THREADS``,
-    else one a processor.
+    """The number of threads in use: that of the last :func:`set_num_threads`, or of the environment variable ``BELTRAMI_NUM_THREADS``,
+    or one per processor.
 
     Returns
     -------
@@ -30,7 +30,7 @@ def num_threads() -> int:
 
 
 def set_num_threads(count: int) -> None:
-    """Sets how many threads are used from now on.
+    """Set the number of threads that are used from now on.
 
     Parameters
     ----------

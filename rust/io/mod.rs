@@ -46,9 +46,9 @@ pub enum Format {
     Stl,
     /// Geomview's object file format.
     Off,
-    /// Points, one a line.
+    /// Points, one per line.
     Xyz,
-    /// Points, one a line, after their number.
+    /// Points, one per line, after their number.
     Pts,
     /// A table with or without a header.
     Csv,

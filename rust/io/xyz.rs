@@ -1,4 +1,4 @@
-//! Points, one a line: XYZ, PTS and CSV.
+//! Points, one per line: XYZ, PTS and CSV.
 
 use super::source::{Parsed, Stop};
 use super::text::{SEPARATED, Text, number, shown, whole};

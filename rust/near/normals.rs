@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::sparse::CHUNK;
 use rayon::prelude::*;
 
-/// Unit normals of points in R^D that lie on a surface of dimension D - 1, oriented consistently: `dimension` numbers a point.
+/// Unit normals of points in R^D that lie on a surface of dimension D - 1, oriented consistently: `dimension` numbers per point.
 ///
 /// A point's normal is the direction in which its `neighbors` nearest points (itself among them) vary least. Signs are carried along
 /// a minimum spanning forest of the graph of neighbours (Hoppe et al. 1992), across an edge by reflection, which is exact on
@@ -83,7 +83,7 @@ pub fn normals(points: &[f64], dimension: usize, neighbors: usize, control: &Con
 /// Planes through some neighbours of each query, as [`plane_fits`] finds them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlaneFits {
-    /// The neighbours' mean, `dimension` numbers a query.
+    /// The neighbours' mean, `dimension` numbers per query.
     pub means: Vec<f64>,
     /// The direction in which they vary least, a unit vector of either sign.
     pub normals: Vec<f64>,
@@ -144,7 +144,7 @@ pub fn plane_fits(points: &[f64], dimension: usize, near: &[u32], neighbors: usi
 /// Normals oriented alike where the surface may be thin or near itself, as [`oriented`] finds them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Oriented {
-    /// Unit vectors, `dimension` numbers a point.
+    /// Unit vectors, `dimension` numbers per point.
     pub normals: Vec<f64>,
     /// The share of edges along the surface between points whose normals agree but for their sign, and whose signs differ.
     pub seam: f64,

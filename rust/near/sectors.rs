@@ -20,7 +20,7 @@ const FEW: usize = 6;
 /// Points of R^3 in groups (the points of group g are `starts[g] .. starts[g + 1]`), of which each place sees one.
 #[derive(Debug, Clone, Copy)]
 pub struct Grouped<'a> {
-    /// Coordinates, three a point; within a group ascending along `axis`.
+    /// Coordinates, three per point; within a group ascending along `axis`.
     pub points: &'a [f64],
     /// Where each group starts, and the number of points at last.
     pub starts: &'a [usize],

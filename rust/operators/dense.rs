@@ -1,4 +1,4 @@
-//! Small dense linear algebra on slices, for kernels that solve one little system a point.
+//! Small dense linear algebra on slices, for kernels that solve one little system per point.
 
 /// Eigenvalues (ascending) and eigenvectors of a symmetric matrix of order `n`, row after row: Householder reduction to
 /// tridiagonal form, then implicit QL (Bowdler, Martin, Reinsch, Wilkinson 1968). On return column k of `a` is the

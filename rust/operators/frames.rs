@@ -137,7 +137,7 @@ impl Cloud {
             None => None,
             Some(normals) if normals.len() != points.len() || normals.iter().any(|x| !x.is_finite()) => {
                 return Err(Error::input(format!(
-                    "normals are {} numbers for {count} points in R^{ambient}; one finite vector a point is needed",
+                    "normals are {} numbers for {count} points in R^{ambient}; one finite vector per point is needed",
                     normals.len()
                 )));
             }

@@ -1,6 +1,6 @@
 //! Piecewise-linear finite elements on an intrinsic triangulation: the operators of the cotangent room, from lengths alone.
 //!
-//! Vector fields have two coordinates a triangle, in the frame whose first axis runs from corner 0 to corner 1.
+//! Vector fields have two coordinates per triangle, in the frame whose first axis runs from corner 0 to corner 1.
 
 use super::corners::Corners;
 use crate::error::{Error, Result};

@@ -32,7 +32,7 @@ const MOST: usize = 960;
 pub struct LocalMeshOptions<'a> {
     /// Neighbours each star starts with; without it 30 for surfaces and 60 for volumes.
     pub neighbors: Option<usize>,
-    /// Outward normals, D numbers a point: points whose normals oppose each other are never neighbours, which keeps the two sides of
+    /// Outward normals, D numbers per point: points whose normals oppose each other are never neighbours, which keeps the two sides of
     /// thin parts apart.
     pub normals: Option<&'a [f64]>,
     /// The distance to the 6th neighbour that is to be expected at each point, for which the measured one is taken otherwise: how large
@@ -64,7 +64,7 @@ pub struct LocalMesh {
     pub boundary: Vec<bool>,
     /// Distance to the 6th neighbour of each point, in the user's units.
     pub spacing: Vec<f64>,
-    /// Orthonormal tangent vectors, d x D numbers a point.
+    /// Orthonormal tangent vectors, d x D numbers per point.
     pub frames: Vec<f64>,
     /// The second fundamental form in the frame's directions: for each point a vector of R^D for each pair a <= b.
     pub curvature: Vec<f64>,

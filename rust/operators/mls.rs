@@ -61,7 +61,7 @@ pub struct MlsOptions<'a> {
     pub weight: MlsWeight,
     /// Whether rows of the Laplacian are kept free of negative off-diagonal entries as far as they can be.
     pub constrained: bool,
-    /// Outward normals, D numbers a point: points whose normals oppose each other are never neighbours.
+    /// Outward normals, D numbers per point: points whose normals oppose each other are never neighbours.
     pub normals: Option<&'a [f64]>,
 }
 

@@ -4,7 +4,7 @@
 //! them: a density on a simplex is the mean over its corners and over the interval's two ends. [`Domain`] holds the simplices and
 //! does all that happens in space; [`SpaceTime`] solves the space-time Poisson equation of the projection on the continuity equation.
 //!
-//! Tables are kept slice after slice: `nodes` numbers a slice, or `count` elements of `coordinates` numbers.
+//! Tables are kept slice after slice: `nodes` numbers per slice, or `count` elements of `coordinates` numbers.
 
 mod domain;
 mod hamilton_jacobi;

@@ -72,7 +72,7 @@ impl Camera {
 pub enum Colouring<'a> {
     /// One colour.
     Uniform(Rgb),
-    /// One number a vertex, interpolated and then looked up pixel by pixel; not finite: no data.
+    /// One number per vertex, interpolated and then looked up pixel by pixel; not finite: no data.
     Scalars {
         /// The numbers.
         values: &'a [f64],
@@ -83,9 +83,9 @@ pub enum Colouring<'a> {
         /// Colours at equal steps from `low` to `high`, interpolated in between.
         table: &'a [Rgb],
     },
-    /// One colour a vertex.
+    /// One colour per vertex.
     Vertices(&'a [Rgba]),
-    /// One colour a face.
+    /// One colour per face.
     Faces(&'a [Rgba]),
     /// One label a vertex, an index into the palette; regions meet half way. A label beyond the palette: no data.
     Labels {
@@ -99,7 +99,7 @@ pub enum Colouring<'a> {
 /// A triangle mesh in R^3 and how it looks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surface<'a> {
-    /// Three coordinates a vertex.
+    /// Three coordinates per vertex.
     pub vertices: &'a [f64],
     /// Vertex numbers.
     pub faces: &'a [[u32; 3]],
@@ -139,7 +139,7 @@ pub struct Balls<'a> {
 /// Polylines.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lines<'a> {
-    /// Three coordinates a point.
+    /// Three coordinates per point.
     pub points: &'a [f64],
     /// Polyline `i` goes through the points `starts[i]..starts[i + 1]`.
     pub starts: &'a [usize],
@@ -183,7 +183,7 @@ impl Default for Frame {
     }
 }
 
-/// A picture: rows from the top, three bytes a pixel (red, green, blue).
+/// A picture: rows from the top, three bytes per pixel (red, green, blue).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Image {
     pub(crate) width: usize,

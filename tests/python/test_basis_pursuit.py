@@ -362,7 +362,7 @@ def test_bad_input_is_refused(spot: bt.TriangleMesh, tmp_path: Path) -> None:
         with pytest.raises(bt.InputError, match=said):
             bt.register_conformal(spot, spot, landmarks=marks)
     for features, said in (
-        ((np.ones(n), np.ones(n - 1)), "a row a vertex"),
+        ((np.ones(n), np.ones(n - 1)), "a row per vertex"),
         (np.ones((n, 2)), "pair"),
         ((np.ones((n, 2)), np.ones((n, 3))), "equally many"),
         ((np.full(n, np.nan), np.ones(n)), "is nan"),

@@ -56,7 +56,7 @@ def _tables(value: Any, count: int, other: int) -> tuple[Floats, Floats] | None:
     for table, name, n in ((value[0], "F", count), (value[1], "G", other)):
         array = np.asarray(table)
         if array.ndim not in (1, 2) or array.shape[0] != n:
-            raise InputError(f"features {name} has shape {array.shape}; ({n}, k) is needed, a row a vertex")
+            raise InputError(f"features {name} has shape {array.shape}; ({n}, k) is needed, a row per vertex")
         found.append(arrays.floats(array.reshape(n, -1), f"features {name}", (n, None)))
     if found[0].shape[1] != found[1].shape[1] or found[0].shape[1] == 0:
         raise InputError(f"features have {found[0].shape[1]} and {found[1].shape[1]} functions; equally many, at least one, are needed")
@@ -79,12 +79,12 @@ def register_conformal(
     rng: int | np.random.Generator | None = 0,
     progress: Progress = None,
 ) -> ConformalRegistrationResult:
-    """Matches two shapes that are far from isometric: point map, conformal factor and bases (equations 8.33 and 8.34).
+    """Match two shapes that are far from isometric: find a point map, a conformal factor and bases (equations 8.33 and 8.34).
 
-    Several maps are made: for surfaces of genus 0 from their spherical conformal maps, with landmarks, features or the shapes' own
-    tips to fix them, as it is and with its limbs stretched; else from landmarks and features. The best is refined, and, unless the
-    shapes prove to be conformal, compared with that of :func:`register`. The one with the smoothest conformal factor is taken. From
-    its factor the alternation of the paper starts: Ψ by splitting, η by Gauss-Newton.
+    Several maps are computed: for surfaces of genus 0 from their conformal maps to the sphere, determined by landmarks, features or
+    the tips of the shapes, with and without stretched limbs; otherwise from landmarks and features. The best is refined and, unless
+    the shapes prove to be conformal, compared with that of :func:`register`. The map with the smoothest conformal factor is chosen.
+    From its factor the alternation of the paper starts: Ψ by splitting, η by Gauss-Newton.
 
     Parameters
     ----------
@@ -93,24 +93,24 @@ def register_conformal(
     landmarks : array_like (k, 2) of int, optional
         Pairs of vertices, source and target.
     features : pair of array_like (n_source, c) and (n_target, c), optional
-        The same functions on both: descriptors, label maps, anything a vertex.
+        The same functions on both: descriptors, label maps, anything with one row per vertex.
     k : int
         Size of the bases Φ and Ψ; the alternation grows from 10.
     start : {"auto", "spherical", "landmarks", "register"}
         ``"spherical"`` needs closed surfaces of genus 0; ``"landmarks"`` needs landmarks or features; ``"register"`` is
-        near-isometric registration. ``"auto"`` takes what applies.
+        near-isometric registration. ``"auto"`` uses whatever applies.
     refine : int or None
-        Size of the basis to which the map is refined by upsampling in the metric of its factor; None: not at all.
+        Size of the basis to which the map is refined by upsampling in the metric of its factor; None: no refinement.
     sweeps : int
-        Most sweeps of the alternation a level; 0 leaves the start's factor and its eigenbasis.
+        Maximum number of sweeps of the alternation per level; 0 keeps the initial factor and its eigenbasis.
     misfit_weight, smoothness : float
-        Weights of the features' misfit and of the change of η, ``∫ |grad δη|² + δη²``, against the mean Dirichlet energy of Φ.
+        Weights of the misfit of the features and of the change of η, ``∫ |grad δη|² + δη²``, relative to the mean Dirichlet energy of Φ.
     orientation : {"preserving", "reversing", "any"}
         Of the map, for spherical starts: ``"reversing"`` for a mirror image of the source.
     rng : int or numpy Generator
         For the sampling of feature pairs.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops with :class:`Cancelled`.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def register_conformal(
     Raises
     ------
     InputError
-        Landmarks are out of range, repeated or contradictory, features do not fit, or nothing fixes the map.
+        Landmarks are out of range, repeated or contradictory, features do not fit, or nothing determines the map.
     TopologyError
         ``start="spherical"`` and a shape is not closed, connected and of genus 0.
 

@@ -22,19 +22,20 @@ from .surface import Indices
 def conformal_eigenpairs(
     shape: Shape | Operators, log_factor: npt.ArrayLike, k: int, *, start: Any = None, progress: Progress = None
 ) -> Eigenpairs:
-    """Eigenpairs of the shape with its metric multiplied by ``exp(log_factor)``: ``L ψ = λ diag(exp(η) m) ψ`` (equation 8.33).
+    """Compute eigenpairs of the shape with its metric multiplied by ``exp(log_factor)``: ``L ψ = λ diag(exp(η) m) ψ`` (equation 8.33).
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
-        Of dimension 2: only there the stiffness stays as it is.
+        A surface: only in dimension 2 a conformal factor leaves the stiffness unchanged.
     log_factor : array_like (n,)
         η = log w² at the vertices.
     k : int
         How many.
     start : array_like (n, c), optional
-        Vectors near the wanted ones, see :func:`eigenpairs`.
+        Vectors close to the wanted ones, see :func:`eigenpairs`.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -119,7 +120,7 @@ def match_spectrum(
     max_iterations: int = 40,
     progress: Progress = None,
 ) -> SpectrumMatch:
-    """Finds a conformal factor exp(η) with which the shape has given eigenvalues.
+    """Find a conformal factor exp(η) that gives the shape prescribed eigenvalues.
 
     Gauss-Newton on the logarithms of the eigenvalues, whose derivative is ``-∫ ψ² exp(η) δη``, with ``smoothness/2 ∫ |grad η|²``
     added; a step that does not lower the objective is shortened.
@@ -131,11 +132,13 @@ def match_spectrum(
     values : array_like (k,)
         Ascending, in 1 / length², beginning with the zero of the constant function.
     smoothness : float
-        Weight of the Dirichlet energy of η against the squared logarithmic errors.
+        Weight of the Dirichlet energy of η relative to the squared logarithmic errors.
     tolerance : float
         Relative error of the eigenvalues at which to stop.
     max_iterations : int
+        Iterations after which the best answer so far is returned, with ``converged=False``.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -148,7 +151,7 @@ def match_spectrum(
 
     Notes
     -----
-    Many factors have one and the same spectrum (those that a symmetry exchanges, at least): the answer is one near η = constant.
+    Many factors have the same spectrum (at least those that a symmetry exchanges): the answer is one near η = constant.
 
     Examples
     --------

@@ -157,7 +157,7 @@ def values_of(name: str | None, shape: Any, option: str = "--values") -> tuple[A
         count = len(shape.coordinates)
         fields = {key: array for key, array in stored(path).items() if array.shape == (count,)}
         if not fields:
-            raise InputError(f"{option} {name}: none of its arrays has one number a vertex")
+            raise InputError(f"{option} {name}: none of its arrays has one number per vertex")
         return (fields, None) if len(fields) > 1 else next((array, key) for key, array in fields.items())
     stem = path.name.removesuffix(".gz").removesuffix(".gii")
     label = stem.split(".")[-1] if stem.startswith(("lh.", "rh.")) else Path(stem).stem  # lh.sulc, as FreeSurfer names it

@@ -17,7 +17,7 @@ def _plot_options(parser: argparse.ArgumentParser) -> None:
     look_options(parser)
     parser.add_argument("-o", "--out", action="append", metavar="OUT", required=True, help=".png or .html; may be given several times")
     parser.add_argument(
-        "--values", help="a field of the file, or a file of numbers, one a vertex or a face (.npy .npz .csv .txt, GIFTI, FreeSurfer)"
+        "--values", help="a field of the file, or a file of numbers, one per vertex or face (.npy .npz .csv .txt, GIFTI, FreeSurfer)"
     )
     parser.add_argument("--colormap", help="viridis, balance, ... (chosen by the values)")
     parser.add_argument("--contours", type=int, help="how many contour lines")

@@ -39,7 +39,7 @@ def _image_options(parser: argparse.ArgumentParser) -> None:
     look_options(parser)
     output_files(parser)
     parser.add_argument(
-        "--values", help="the image: a field of the file, or a file of numbers (see plot), one or one row a vertex (the colours)"
+        "--values", help="the image: a field of the file, or a file of numbers (see plot), one value or one row per vertex (the colours)"
     )
     weight = (
         "weight of the image against length (segment: 7.5 over its variance, more until no region is empty; denoise: 100 over its range)"

@@ -38,7 +38,7 @@ def _flow_options(parser: argparse.ArgumentParser) -> None:
     input_file(parser)
     look_options(parser)
     output_files(parser)
-    what = "a field of the file, a file of numbers, one a vertex, uniform, or vertex:K[:WIDTH], a bump (width .1, in roots of the area)"
+    what = "a field of the file, a file of numbers, one per vertex, uniform, or vertex:K[:WIDTH], a bump (width .1, in roots of the area)"
     parser.add_argument("--from", dest="start", required=True, metavar="DENSITY", help=f"the density at time 0: {what}")
     parser.add_argument("--to", dest="end", metavar="DENSITY", help="the density at time 1")
     parser.add_argument("--intervals", type=int, default=32, help="how many intervals of time (32)")
@@ -70,7 +70,7 @@ def density_of(name: str, shape: Any, option: str) -> npt.NDArray[np.float64]:
     values, _ = values_of(name, shape, option)
     array = np.asarray(one_field(f"{option} {name}", values), np.float64)
     if array.shape != (len(places),):
-        raise InputError(f"{option} {name} has shape {array.shape}; one number a vertex is needed, that is ({len(places)},)")
+        raise InputError(f"{option} {name} has shape {array.shape}; one number per vertex is needed, that is ({len(places)},)")
     return array
 
 
@@ -80,7 +80,7 @@ def _unit_mass(density: npt.NDArray[np.float64], ops: Any) -> npt.NDArray[np.flo
 
 
 def _write_flow(options: Options, shape: Any, r: Any) -> None:
-    values = {"density": np.ascontiguousarray(r.density.T), "potential": np.ascontiguousarray(r.potential.T)}  # a row a vertex
+    values = {"density": np.ascontiguousarray(r.density.T), "potential": np.ascontiguousarray(r.potential.T)}  # a row per vertex
 
     def picture(path: Path) -> object:
         times = options.times if path.suffix.lower() == ".png" else max(options.times, 25)
@@ -120,7 +120,7 @@ def _game_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--congestion", type=float, metavar="W", help="running cost W/2 ∫ ρ²")
     parser.add_argument("--entropy", type=float, metavar="W", help="running cost W ∫ ρ log ρ - ρ")
     parser.add_argument("--cap", type=float, metavar="C", help="largest density, in units of the mean density")
-    parser.add_argument("--potential", metavar="VALUES", help="running cost ∫ V ρ: a field or a file of numbers, one a vertex")
+    parser.add_argument("--potential", metavar="VALUES", help="running cost ∫ V ρ: a field or a file of numbers, one per vertex")
     parser.add_argument("--target", metavar="DENSITY", help="density that the end should be close to, instead of --to")
     parser.add_argument(
         "--target-weight", type=float, default=10.0, metavar="W", help="how close (10): W ∫ ρ log(ρ / target) or W/2 ∫ (ρ - target)²"

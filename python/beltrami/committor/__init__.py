@@ -95,19 +95,19 @@ def committor(
     rng: int | np.random.Generator | None = 0,
     progress: Progress = None,
 ) -> CommittorResult:
-    """Probability of reaching B before A, and the rate of reactions from A to B, for ``dX = -grad U dt + sqrt(2 / β) dW`` on a shape.
+    """The probability of reaching B before A, and the rate of reactions, for ``dX = -grad U dt + sqrt(2 / β) dW`` on a shape.
 
     Parameters
     ----------
     shape : PointCloud, TriangleMesh or Operators
-        Points of any density in R^D; a cloud of dimension 1, 2 or 3. Where it ends, trajectories are reflected.
+        Points of any density in R^D; a cloud may have dimension 1, 2 or 3. Trajectories are reflected at its boundary.
     potential : array_like (n,), callable, or None
-        U at the points; or a function of (k, D) positions with (k,) values, which is then evaluated between the points too; or None where
-        U is to come from the samples (see ``sampling``).
+        U at the points; or a function of (k, D) positions with (k,) values, which is then evaluated between the points too; or None if
+        U follows from the samples (see ``sampling``).
     A, B : array_like of bool (n,), of point numbers, or callable
-        Disjoint sets. A callable is a level function of (k, D) positions, negative inside: edges that cross its rim are cut there; or a
-        predicate with (k,) bool, which is a mask. Of other sets the rim is taken to lie half-way to the points around, or at the outermost
-        members where these lie in a row.
+        Disjoint sets. A callable is either a level function of (k, D) positions, negative inside, so that edges are cut where they cross
+        its zero level; or a predicate that returns (k,) bool, which is a mask. The boundary of other sets is assumed half-way to the
+        surrounding points, or at the outermost members if these lie in a row.
     beta : float
         Inverse temperature, in one over the units of the potential.
     method : {"weak", "strong"}
@@ -121,22 +121,24 @@ def committor(
     weights : array_like (n,), optional
         Importance weights for ``"weighted"``; the cloud's own by default.
     sample_beta : float or array_like (n,), optional
-        Inverse temperature of the samples for ``"gibbs"`` (default β) and ``"mixed"`` (one a sample).
+        Inverse temperature of the samples for ``"gibbs"`` (default β) and ``"mixed"`` (one per sample).
     circulation : array_like (n, D), optional
         A further drift ``l`` that keeps the Gibbs density, ``div(exp(-β U) l) = 0``: the dynamics is then not reversible, and
         ``q_backward`` is solved for too.
     refine : int, optional
-        How often triangles are split in four, U a quadratic on each: 1 for surfaces by default, 0 is faster; surfaces only.
+        How many times triangles are divided into four, with U a quadratic on each: 1 for surfaces by default; 0 is faster. Surfaces
+        only.
     max_points : int, optional
-        Clouds with more points are thinned out evenly to about so many (no two nearer, and none left out farther from them, than a
-        radius); these carry the masses of the others, and q is fitted there. Densities count all points.
+        Clouds with more points are thinned evenly to about this number (no two points closer than a radius, and no omitted point farther
+        from them than that). They carry the masses of the omitted points, for which q is fitted. Densities count all points.
     bootstrap : int
         How many half-samples (without replacement) the error of the rate is estimated from; 0 for none. Clouds only.
     block : int
-        Points are drawn in blocks of so many consecutive ones: for trajectories, their correlation time.
+        Points are drawn in blocks of this many consecutive ones: for trajectories, the correlation time.
     rng : int or numpy Generator
-        Of the half-samples.
+        Seed or generator of the half-samples.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------

@@ -62,7 +62,7 @@ class CommittorResult:
     q_backward : ndarray (n,)
         Probability of having come from A rather than from B; ``1 - q`` unless a circulation was given.
     rate : float
-        nu_AB, reactive trajectories from A to B a unit of time: the Dirichlet form of q.
+        nu_AB, reactive trajectories from A to B per unit of time: the Dirichlet form of q.
     rate_error : float or None
         Its standard error, by half-samples; None without ``bootstrap``.
     rate_flux, rate_flux_error : float
@@ -73,7 +73,7 @@ class CommittorResult:
     share_A : float
         p_A, the share of time for which A was visited last.
     current : ndarray (n, D)
-        Reactive current, exp(-β U) grad q / (β Z): trajectories a unit of time and length; 0 in A and B.
+        Reactive current, exp(-β U) grad q / (β Z): trajectories per unit of time and length; 0 in A and B.
     reactive_density : ndarray (n,)
         Probability density of being there and on the way from A to B.
     potential : ndarray (n,)
@@ -248,7 +248,7 @@ class CommittorResult:
         return plot(shape, values, path=path, **shown)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes everything to ``.npz``, a row a point to ``.csv``, or a picture to ``.png`` or ``.html``."""
+        """Writes everything to ``.npz``, a row per point to ``.csv``, or a picture to ``.png`` or ``.html``."""
         archive = {"points": self.shape.coordinates, **archived(self)}
         kinds = {".npz": lambda file: save_arrays(file, archive), ".csv": self._save_points}
         return save_result(self, path, "a committor is", kinds)
@@ -259,7 +259,7 @@ class CommittorResult:
         return written(path, lambda stream: np.savetxt(stream, rows, delimiter=",", header=",".join(table), comments="", fmt="%.17g"))
 
     def table(self) -> dict[str, npt.NDArray[Any]]:
-        """The arrays with a row a point."""
+        """The arrays with a row per point."""
         names = ("q", "q_backward", "current", "reactive_density", "potential", "in_A", "in_B")
         return {"points": self.shape.coordinates, **{name: getattr(self, name) for name in names}}
 

@@ -20,24 +20,24 @@ Sampling = Literal["any", "gibbs", "weighted", "mixed"]
 
 
 def sample_density(shape: Shape | Operators, *, weights: Any = None, neighbors: int | None = None) -> Floats:
-    """Density of the samples of a cloud: samples, or their weights, per unit of area; its integral is 1.
+    """Estimate the density of the samples of a cloud: samples, or their weights, per unit of area, with integral 1.
 
     The logarithm of the points' areas in the local mesh, whose scatter does not depend on the density, is fitted by a cubic around
-    each point: in valleys narrower than the neighbourhood nothing is smeared out, and points at the rim, whose areas are cut off, do
+    each point: in valleys narrower than the neighbourhood nothing is smeared out, and points at the boundary, whose areas are cut off, do
     not count.
 
     Parameters
     ----------
     shape : PointCloud or Operators
     weights : array_like (n,), optional
-        Of the samples, at least 0; the cloud's own, or 1 for each.
+        Weights of the samples, at least 0; by default those of the cloud, or 1 for each.
     neighbors : int, optional
-        How many a fit takes: 40, 128 and 250 in one, two and three dimensions.
+        How many neighbours a fit uses; by default 40, 128 and 250 in one, two and three dimensions.
 
     Returns
     -------
     ndarray (n,)
-        In one over units of length^d; its sum times ``ops.mass`` is 1.
+        In units of 1 / length^d; ``ops.mass @ density`` is 1.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def sample_density(shape: Shape | Operators, *, weights: Any = None, neighbors: 
 
 
 def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float = 1e-10) -> Floats:
-    """Weights that make samples taken at several temperatures a sample at one (multistate reweighting).
+    """Compute weights that turn samples taken at several temperatures into a sample at one temperature (multistate reweighting).
 
     Parameters
     ----------
@@ -86,9 +86,9 @@ def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float 
     sample_betas : array_like (n,)
         Inverse temperature at which each was taken.
     beta : float
-        That of the answer.
+        Inverse temperature of the reweighted sample.
     tolerance : float
-        On the free energies, in units of kT.
+        Tolerance for the free energies, in units of kT.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def reweight(energies: Any, sample_betas: Any, beta: float, *, tolerance: float 
     betas = arrays.floats(sample_betas, "sample_betas", (len(energy),))
     wanted = arrays.number(beta, "beta", above=0.0)
     if len(energy) == 0 or (betas <= 0).any():
-        raise InputError("sample_betas must be positive, one a sample")
+        raise InputError("sample_betas must be positive, one per sample")
     states, counts = np.unique(betas, return_counts=True)
     if len(states) > 1000:
         raise InputError(f"{len(states)} different temperatures; up to 1000 can be reweighted")

@@ -35,29 +35,30 @@ def spherical_map(
     check_genus: bool = True,
     progress: Progress = None,
 ) -> SphericalMapResult:
-    """Maps a closed surface of genus 0 conformally to the unit sphere.
+    """Map a closed surface of genus 0 conformally to the unit sphere.
 
-    Minimizes E - A, Dirichlet energy less signed image area, among the maps whose area-weighted centre is the origin: a linear map
-    to start from, an iteration, and a repair of the triangles that are still turned over.
+    Minimizes E - A, Dirichlet energy minus signed image area, among the maps whose area-weighted centre is the origin: a linear map
+    to start from, an iteration, and a repair of the triangles that are still flipped.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
-        Closed, connected, manifold, of genus 0. The orientation is kept: seen from outside, the image is not mirrored. Of Operators
-        the shape is taken.
+        Closed, connected, manifold, of genus 0. Orientation is preserved: seen from outside, the image is not mirrored. Of Operators
+        only the shape is used.
     method : {"fast", "cayley", "preconditioned_cayley"}
         ``"fast"``: descent preconditioned by one Cholesky factorization, with Anderson acceleration: a handful of steps.
         ``"cayley"``: the iteration of equation 8.28, Cayley steps of Barzilai-Borwein length along the gradient by unit mass, with a
         nonmonotone line search; hundreds of steps. ``"preconditioned_cayley"``: the same along L^-1 of the gradient.
     tolerance : float
-        Root mean square move of a step (``"cayley"``: of the gradient, on a sphere of area 4π), in radii, at which to stop.
+        Stop when the root-mean-square movement in a step, in radii, is below this (``"cayley"``: the gradient, on a sphere of area 4π).
     max_iterations : int, optional
-        20; 5000 and 200 for the Cayley iterations.
+        By default 20; 5000 and 200 for the two Cayley iterations.
     fill_holes : bool
         Close the holes of a mesh with rings of triangles for the map only; the result is that of the mesh itself.
     check_genus : bool
         Refuse a cloud that the map shows to be open, or of higher genus; see Notes. Meshes of higher genus are always refused.
     progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -68,15 +69,15 @@ def spherical_map(
     TopologyError
         The surface is not closed, connected, manifold or of genus 0; the message gives its Euler characteristic and what to do.
     NumericalError
-        Parts of the image round away: the message says which.
+        Parts of the image are lost to rounding: the message says which.
 
     Notes
     -----
-    A cloud has no Euler characteristic that could be relied on, so its genus is checked by what comes out: where the map is one to one,
-    neighbours on the sphere are neighbours in the cloud. If more than one point in a hundred has images from elsewhere between its own
+    A cloud has no reliable Euler characteristic, so its genus is checked by the result: if the map is one-to-one, neighbours on the
+    sphere are neighbours in the cloud. If more than one point in a hundred has images from elsewhere between its own
     neighbours', or the images do not cover the sphere, the loops of the Reeb graph of the first eigenfunction are counted
     (:func:`beltrami.skeleton`): a cloud is refused where both say that it has handles, or one of them by far. Clouds that leave a part
-    of the sphere bare, or whose boundary points hang together in a ring, are refused as open.
+    of the sphere uncovered, or whose boundary points form a ring, are refused as open.
 
     References
     ----------

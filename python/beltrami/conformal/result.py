@@ -130,6 +130,7 @@ class SphericalMapResult:
         ----------
         values : array_like (n,) or (n, c), optional
         rows, columns : int
+            Size of the image.
 
         Returns
         -------
@@ -303,6 +304,7 @@ class SphericalMapResult:
             ``"checkerboard"``: squares of the sphere's Mercator projection, on which a conformal map leaves right angles;
             ``"angle_error"`` (degrees); ``"conformal_factor"`` (its logarithm, base 10); or what :func:`beltrami.plot` takes.
         on : {"shape", "sphere"}
+            What is drawn: the shape, or its image on the sphere.
         path, **options
             As for :func:`beltrami.plot`.
         """

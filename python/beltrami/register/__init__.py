@@ -203,37 +203,38 @@ def register(
     rng: int | np.random.Generator | None = 0,
     progress: Progress = None,
 ) -> RegistrationResult:
-    """The point map between two shapes that differ by a bending, without landmarks.
+    """Find the point map between two nearly isometric shapes (shapes that differ by bending), without landmarks.
 
     Shapes are scaled to unit area. Candidates for the orthogonal matrix between the eigenfunctions come from a beam search over
-    signs and rotations that makes triple products agree, ``∫ φ_i φ_j φ_k``, and oriented ones, ``∫ φ_i dφ_j ∧ dφ_k``, which tell a mirror
-    image. Each is refined by upsampling in both directions. On surfaces in R^3 the least energy of deforming the source
-    onto the target decides, and the map is polished by such a deformation. With ``method="rswd"`` the chapter's iteration alone:
-    rotation-invariant sliced Wasserstein between the eigenmaps ``λ_k^(-d/4) φ_k``, coarse to fine from all sign starts.
+    signs and rotations that preserve the triple products ``∫ φ_i φ_j φ_k`` and the oriented ones ``∫ φ_i dφ_j ∧ dφ_k``, which detect
+    mirror images. Each candidate is refined by upsampling in both directions. On surfaces in R^3 the energy of deforming the source
+    onto the target decides between them, and such a deformation polishes the map. ``method="rswd"`` is the chapter's iteration alone:
+    the rotation-invariant sliced Wasserstein distance between the eigenmaps ``λ_k^(-d/4) φ_k``, coarse to fine from all sign starts.
 
     Parameters
     ----------
     source, target : TriangleMesh, PointCloud or Operators
         Numbers of points may differ; position, size and numbering do not matter. Closed meshes are turned outward.
     method : {"auto", "rswd"}
+        Candidates by triple products, or the iteration of the paper alone; see above.
     landmarks : (k, 2) int array, optional
-        Pairs (source point, target point) that are known to match, roughly.
+        Pairs (source point, target point) that are known to match, at least roughly.
     descriptors : pair of arrays (n_source, p) and (n_target, p), "hks" or "wks", optional
-        Functions that should be carried over. Brought to one scale; joined to the eigenmaps.
+        Functions that the map should preserve. They are scaled and appended to the eigenmaps.
     extrinsic : bool
-        Whether positions may help, where both shapes are surfaces in R^3. False: only what no bending changes.
+        Whether to use positions if both shapes are surfaces in R^3. False: use only what bending does not change.
     polish : bool
-        Whether the map is polished by a deformation, if extrinsic.
+        Whether to polish the map by a deformation, if extrinsic.
     modes : int
-        How many eigenfunctions after the constant.
+        How many eigenfunctions after the constant one.
     samples : int
-        Farthest points that candidates are refined on.
+        How many farthest points candidates are refined on.
     candidates : int
-        How many are compared to the end.
+        How many candidates are fully refined and compared.
     rng : int or numpy Generator
-        What directions of the sliced distance are drawn with.
+        Seed or generator for the directions of the sliced distance.
     progress : callable or True, optional
-        Called with the share of work done; returning False stops. True draws a bar.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -248,10 +249,10 @@ def register(
 
     Notes
     -----
-    Clouds are taken by their local mesh and, where they sample a closed surface in R^3, also by its triangles (from Delaunay's
-    tetrahedra): those go on whose spectra agree best, and inside and outside tell left from right. On open clouds nothing but the
-    energy of the deformation does, and in other spaces than R^3 nothing.
-    For partial shapes a map comes back too; look at ``coverage``, ``bijectivity`` and ``notes``.
+    Clouds are treated by their local mesh and, if they sample a closed surface in R^3, also by the triangles of that surface (from the
+    Delaunay tetrahedra). The treatments whose spectra agree best are used, and inside and outside tell left from right. On open clouds
+    only the energy of the deformation does so, and in other spaces than R^3 nothing does.
+    Partial shapes give a map too; look at ``coverage``, ``bijectivity`` and ``notes``.
 
     References
     ----------

@@ -334,21 +334,22 @@ def segment(
 
         ``∫ |grad φ| + fidelity ∫ r φ``,  ``r = |I - c_1|² - |I - c_0|²``
 
-    is made least by the alternating direction method of multipliers (section 8.1, steps (1)-(7), with a second split for the
-    bounds): a solve (one matrix throughout), a shrinkage on each triangle and a clipping at each vertex a sweep. The means are
-    updated as area-weighted averages. For the means that are returned the problem is convex, and ``dual`` bounds it from below.
+    is minimized by the alternating direction method of multipliers (section 8.1, steps (1)-(7), with a second splitting for the
+    bounds). Each sweep has a linear solve (with one matrix throughout), a shrinkage on each triangle and a clipping at each vertex.
+    The means are updated as area-weighted averages. For the means that are returned the problem is convex, and ``dual`` bounds it
+    from below.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
         With or without boundary, in any number of pieces.
     image : array_like (n,) or (n, channels)
+        Values at the vertices, e.g. a curvature or colours.
     fidelity : float
-        Weight of the image against the length of the boundary, dimensionless but for the image's own units, squared: details
-        smaller than about ``sqrt(area) / (fidelity * contrast²)`` are smoothed away. Start with ``30 / contrast²`` and see
-        :func:`segment_path`.
+        Weight of the image relative to the length of the boundary, in units of 1 / (units of the image)²: details smaller than about
+        ``sqrt(area) / (fidelity * contrast²)`` are smoothed away. Start with ``30 / contrast²`` and see :func:`segment_path`.
     regions : int
-        K. More than two share memberships on the simplex: ``1/2 Σ_l ∫ |grad φ_l| + fidelity Σ_l ∫ φ_l |I - c_l|²``.
+        The number K of regions. More than two share memberships on the simplex: ``1/2 Σ_l ∫ |grad φ_l| + fidelity Σ_l ∫ φ_l |I - c_l|²``.
     means : array_like (regions,) or (regions, channels), optional
         Fixed means. Otherwise they are estimated, beginning with area-weighted k-means.
     mask : array_like (n,) of bool, optional
@@ -359,7 +360,9 @@ def segment(
     tolerance : float, optional
         Relative gap to stop at: 1e-4, or 1e-6 for ``tv="edge"``.
     max_iterations : int
-    progress : bool or callable, optional
+        Iterations after which the best answer so far is returned, with ``converged=False``.
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -416,19 +419,19 @@ def segment_path(
     max_iterations: int = 2000,
     progress: Progress = None,
 ) -> list[SegmentationResult]:
-    """Segmentations for several fidelities, so that one can be chosen: one linear system serves all, each starts from the one before.
+    """Segment an image with several fidelities, to choose one: all share a linear system, and each starts from the one before.
 
     Parameters
     ----------
     fidelities : sequence of float
-        In the order in which they are wanted; ascending or descending goes fastest.
+        In any order; ascending or descending is fastest.
     shape, image, regions, means, mask, tv, tolerance, max_iterations, progress
         As for :func:`segment`.
 
     Returns
     -------
     list of SegmentationResult
-        One a fidelity, in the order given.
+        One per fidelity, in the order given.
 
     Raises
     ------

@@ -84,16 +84,17 @@ def denoise(
 ) -> DenoisingResult:
     """Denoise an image on a surface by total variation (Rudin, Osher and Fatemi [1]_), colour and other channels together [2]_.
 
-    ``∫ |grad u| + fidelity / 2 ∫ |u - I|²`` over the surface scaled to unit area, |·| the Frobenius norm over the channels. Edges
-    stay sharp, each piece keeps its mean, and ``dual`` proves how close to the minimum the answer is.
+    Minimizes ``∫ |grad u| + fidelity / 2 ∫ |u - I|²`` over the surface scaled to unit area, where |·| is the Frobenius norm over the
+    channels. Edges stay sharp, each component keeps its mean, and ``dual`` proves how close the answer is to the minimum.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
     image : array_like (n,) or (n, channels)
+        Values at the vertices, e.g. a curvature or colours.
     fidelity : float
-        Larger stays nearer to the image; in units of one over the image's. A round patch of height a and radius R (unit area) survives
-        if ``fidelity > 2 / (a R)``.
+        Weight of the image; larger values stay closer to it. In units of 1 / (units of the image). A round patch of height a and radius
+        R (at unit area) survives if ``fidelity > 2 / (a R)``.
     mask : array_like (n,) of bool, optional
         True where the image is known. Elsewhere it may hold NaN and is filled in, within the range of the known values.
     tv : {"isotropic", "edge"}
@@ -101,7 +102,9 @@ def denoise(
     tolerance : float
         Relative gap to stop at.
     max_iterations : int
-    progress : bool or callable, optional
+        Iterations after which the best answer so far is returned, with ``converged=False``.
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -111,7 +114,7 @@ def denoise(
     Raises
     ------
     InputError
-        The image does not fit the shape or is not finite; an option is out of range; a piece of the shape has no known value.
+        The image does not fit the shape or is not finite; an option is out of range; a component of the shape has no known value.
 
     References
     ----------

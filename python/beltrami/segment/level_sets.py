@@ -40,27 +40,28 @@ def polylines(parts: tuple[Floats, Ints, Floats, npt.NDArray[np.int64], npt.NDAr
 
 
 def contours(shape: Shape | Operators, values: npt.ArrayLike, *, level: float = 0.5) -> list[Floats]:
-    """Where a piecewise-linear function on a surface takes a level: ordered polylines.
+    """Contours of a piecewise-linear function on a surface at a level, as ordered polylines.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
-        Of a surface. On clouds the function is linear on the triangles of the local mesh: those with more votes go first, and ends
-        that are left within two edge lengths, where stars disagree, are joined.
+        A surface. On clouds the function is linear on the triangles of the local mesh. Triangles with more votes go first, and loose
+        ends within two edge lengths of each other, where stars disagree, are joined.
     values : array_like (n,)
-        A vertex counts as above where its value is greater than the level.
+        A vertex counts as above the level if its value is greater.
     level : float
+        The value on the contours.
 
     Returns
     -------
     list of ndarray (k, D)
-        Points on edges, in units of length; the greater side to the left of a consistently oriented mesh. Closed polylines repeat
-        their first point; others end at a boundary, or where more than two triangles share an edge.
+        Points on edges, in units of length, with the greater values on the left on a consistently oriented mesh. Closed polylines
+        repeat their first point; others end at a boundary, or where more than two triangles share an edge.
 
     Raises
     ------
     InputError
-        Not one finite value a vertex.
+        There is not one finite value per vertex.
 
     Examples
     --------

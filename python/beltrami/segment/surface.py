@@ -58,7 +58,7 @@ class Surface:
             self.spacing = float(lengths.mean())
 
     def table(self, channels: int) -> tuple[int, int]:
-        """Shape of the tables that the core takes: a row an element (simplex or edge), the coordinates of each channel's slope in it."""
+        """Shape of the tables that the core takes: a row per element (simplex or edge), the coordinates of each channel's slope in it."""
         if self.tv == "edge":
             return len(self.edges), channels
         return len(self.corners), channels * (self.corners.shape[1] - 1)
@@ -122,7 +122,7 @@ def image_in(image: Any, count: int, known: npt.NDArray[np.bool_] | None) -> Flo
     if array.ndim not in (1, 2):
         raise InputError(f"image has shape {array.shape}; ({count},) or ({count}, channels) is needed")
     if array.shape[0] != count:
-        raise InputError(f"image has {array.shape[0]} values, the shape has {count} vertices; give one (or one row) a vertex")
+        raise InputError(f"image has {array.shape[0]} values, the shape has {count} vertices; give one (or one row) per vertex")
     table = arrays.floats(array, "image", (count,) if array.ndim == 1 else (count, None), finite=False).reshape(count, -1)
     if known is None and not np.isfinite(table).all():
         at, lacking = int(np.argwhere(~np.isfinite(table))[0][0]), int((~np.isfinite(table)).any(axis=1).sum())

@@ -40,32 +40,32 @@ def skeleton(
     remove_outliers: bool = False,
     progress: Progress = None,
 ) -> SkeletonResult:
-    """The skeleton of a shape: the Reeb graph of its first eigenfunction, or of its eccentricity, drawn along its middle.
+    """Compute the skeleton of a shape: the Reeb graph of its first eigenfunction, or of its eccentricity, drawn along its middle.
 
-    The first nontrivial eigenfunction of the Laplace-Beltrami operator runs along a shape from end to end; where that misses limbs, the
-    eccentricity, made of six eigenfunctions, takes its place. The level sets, split into connected pieces, are rings around limbs; their
+    The first nontrivial eigenfunction of the Laplace-Beltrami operator varies along a shape from end to end; if it misses limbs, the
+    eccentricity, computed from six eigenfunctions, replaces it. The connected components of its level sets are rings around limbs; their
     barycentres are nodes, and neighbouring rings are joined. So the graph branches and closes loops as the shape does.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
-        A surface. Clouds may be noisy (a note says what was done about it); thin parts near each other are told apart by normals, which
-        are found if the cloud has none.
+        A surface. Clouds may be noisy (a note says what was done about it). Thin parts close to each other are told apart by normals,
+        which are estimated if the cloud has none.
     function : array_like (n,), "eigenfunction", "eccentricity" or "geodesic", optional
-        What the levels are of: the first eigenfunction; the eccentricity, which is greatest at the tips of all limbs; the geodesic distance
-        from ``source``; or numbers, such as a height. Without it the first eigenfunction, or the eccentricity if limbs stand out that the
-        eigenfunction runs past (the legs of an animal that lies between head and tail); a note says so.
+        The function whose level sets are used: the first eigenfunction; the eccentricity, which is largest at the tips of all limbs; the
+        geodesic distance from ``source``; or values, such as a height. By default the first eigenfunction, or the eccentricity if the
+        eigenfunction misses prominent limbs (such as the legs between head and tail of an animal); a note says so.
     source : int, optional
-        Vertex for ``function="geodesic"``; without it where the first eigenfunction is greatest.
+        Vertex for ``function="geodesic"``; by default where the first eigenfunction is largest.
     components : bool
-        Whether a shape may have several connected pieces: each gets its own skeleton.
+        Whether a shape may have several components, each of which gets its own skeleton.
     shortest_limb : float
-        Limbs that end and are shorter than this share of the length of the function (how far it runs from its minimum to its maximum)
-        are cut; those less than 1.6 times as long as wide always are. They are counted in ``cut``.
+        Limbs with a free end that are shorter than this share of the length of the function (the distance over which it goes from its
+        minimum to its maximum) are cut, and so are all that are less than 1.6 times as long as wide. They are listed in ``cut``.
     remove_outliers : bool
         Leave out points of a cloud that are much farther from their neighbours than others are (beyond the mean and four deviations).
     progress : callable or True, optional
-        Called with the share of work done; returning False stops with :class:`Cancelled`.
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -74,9 +74,9 @@ def skeleton(
     Raises
     ------
     InputError
-        Too few points, a constant function, numbers that are not finite, or no surface.
+        There are too few points, the function is constant or not finite, or the shape is not a surface.
     TopologyError
-        The shape has several pieces and ``components=False``.
+        The shape has several components and ``components=False``.
 
     Notes
     -----

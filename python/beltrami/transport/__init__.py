@@ -55,38 +55,40 @@ def transport(
     memory: float | None = None,
     progress: Progress = None,
 ) -> TransportResult:
-    """Optimal transport between two densities on a surface: the path of least kinetic energy [1]_, [2]_.
+    """Compute optimal transport between two densities on a surface: the path of least kinetic energy [1]_, [2]_.
 
-    Among densities P at vertices and momenta M on triangles with ``∂_t P + div M = 0`` and the given ends, the least
-    ``∫ Σ_T A_T |M|² / (2 P)`` (8.19-8.20), which is ``½ W2²``. The iteration projects exactly on the continuity equation, by one sparse
-    factor a mode of time (8.23-8.25). What is handed out satisfies the equation to rounding with densities that are not negative, so
-    that its cost is a true upper bound; the potential, repaired until it satisfies the Hamilton-Jacobi inequality, proves a lower one.
+    Minimizes ``∫ Σ_T A_T |M|² / (2 P)`` (8.19-8.20), which is ``½ W2²``, over densities P at vertices and momenta M on triangles with
+    ``∂_t P + div M = 0`` and the given ends. The iteration projects exactly onto the continuity equation, with one sparse factor per
+    mode of time (8.23-8.25). The returned path satisfies the equation to rounding and has no negative densities, so its cost is an
+    upper bound; the potential, corrected until it satisfies the Hamilton-Jacobi inequality, proves a lower bound.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
-        With or without boundary (nothing flows through it), in any number of pieces.
+        With or without boundary (nothing flows through it), with any number of components.
     density0, density1 : array_like (n,)
         Per unit area: ``ops.mass @ density0 == ops.mass @ density1`` on each component, to 1e-9. May be zero anywhere.
     intervals : int
-        Of time. 16 to 32 are usual; the discretization's error falls with their number and with the mesh.
+        Number of time intervals, usually 16 to 32. The error of the discretization decreases with their number and with the mesh.
     normalize : bool
-        Rescale ``density1`` to the mass of ``density0``, which stays what it is.
+        Rescale ``density1`` to the mass of ``density0``, which is left as it is.
     method : {"primal_dual", "projected_gradient"}
-        The splitting with the exact projection of the perspective function [3]_, which tolerates densities that vanish; or the
+        Splitting with the exact projection of the perspective function [3]_, which allows vanishing densities; or the
         chapter's Algorithm 2 with acceleration [2]_, for densities bounded away from zero.
     tolerance : float
         Relative gap to stop at.
     max_iterations : int
+        Iterations after which the best answer so far is returned, with ``converged=False``.
     memory : float, optional
-        Bytes that the factors may take, 2e9 by default: n vertices take about 300 n bytes a mode (there are ``intervals`` modes). With
+        Bytes that the factors may take, 2e9 by default: n vertices take about 300 n bytes per mode (there are ``intervals`` modes). With
         less, modes share factors and the others are solved by preconditioned conjugate gradients, to the same precision.
-    progress : bool or callable, optional
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
     TransportResult
-        With ``converged=False`` if the gap was not reached; its bounds hold nevertheless.
+        With ``converged=False`` if the gap was not reached; the bounds are valid in any case.
 
     Raises
     ------

@@ -147,11 +147,11 @@ def wasserstein_barycenter(
     memory: float | None = None,
     progress: Progress = None,
 ) -> BarycenterResult:
-    """The Wasserstein barycenter [1]_ of densities on a surface: the least ``Σ w_i W2²(ρ_i, ρ)``.
+    """Compute the Wasserstein barycenter [1]_ of densities on a surface: the density that minimizes ``Σ w_i W2²(ρ_i, ρ)``.
 
-    A dynamic transport leads from each density to a common end, which is free: the same iteration as :func:`transport`, with one step
-    more, the mean of the ends. For two densities it is McCann's interpolation, ``transport(...).interpolate(w_1)``, to rounding of
-    time and tolerance.
+    A dynamic transport leads from each density to a common, free end. The iteration is that of :func:`transport` with one more step,
+    the mean of the ends. For two densities the result is McCann's interpolation, ``transport(...).interpolate(w_1)``, up to the
+    discretization of time and the tolerance.
 
     Parameters
     ----------
@@ -161,15 +161,17 @@ def wasserstein_barycenter(
     weights : array_like (k,), optional
         Positive; equal by default. They are divided by their sum.
     intervals : int
-        Of each path.
+        Number of time intervals of each path.
     normalize : bool
-        Rescale all to the mass of the first.
+        Rescale all densities to the mass of the first.
     tolerance : float
         Relative gap to stop at.
     max_iterations : int
+        Iterations after which the best answer so far is returned, with ``converged=False``.
     memory : float, optional
         As for :func:`transport`, for each density.
-    progress : bool or callable, optional
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -179,7 +181,7 @@ def wasserstein_barycenter(
     Raises
     ------
     InputError
-        As :func:`transport`; there are no densities, or a weight is not positive.
+        As for :func:`transport`; or there are no densities, or a weight is not positive.
 
     References
     ----------

@@ -116,7 +116,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         elements = len(self.surface.areas)
-        each = 40.0 * elements * self.surface.dimension  # numbers an interval at the least, as measured
+        each = 40.0 * elements * self.surface.dimension  # numbers per interval at the least, as measured
         most = int(arrays.memory() / (8 * each))
         remedy = f"take {most} intervals or fewer, or a coarser mesh" if most else "take a coarser mesh"
         arrays.room(each * self.intervals, f"intervals = {self.intervals} over {elements} elements", remedy)

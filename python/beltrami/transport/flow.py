@@ -31,7 +31,7 @@ def density_in(surface: Surface, density: npt.ArrayLike, name: str) -> Floats:
     """(n,), finite, not negative, with mass."""
     array = np.asarray(density)
     if array.ndim == 1 and len(array) != surface.count:
-        raise InputError(f"{name} has {len(array)} values, the shape has {surface.count} vertices; give one a vertex")
+        raise InputError(f"{name} has {len(array)} values, the shape has {surface.count} vertices; give one per vertex")
     values = arrays.floats(density, name, (surface.count,))
     if values.min() < 0:
         where = int(np.argmin(values))
@@ -79,7 +79,7 @@ class Flow:
     density : ndarray (intervals + 1, n)
         Per unit area, at times k / intervals. Never negative; the mass is the same at all times.
     momentum : ndarray (intervals, m, D)
-        A tangent vector a triangle (of a cloud: a simplex of its local mesh) and interval: density times velocity.
+        A tangent vector per triangle (for clouds: per simplex of the local mesh) and interval: density times velocity.
     potential : ndarray (intervals, n)
         φ, whose gradient is the velocity where there is mass.
     lower_bound, gap : float

@@ -83,12 +83,13 @@ def mean_field_game(
     memory: float | None = None,
     progress: Progress = None,
 ) -> MeanFieldGameResult:
-    """A potential mean-field game on a surface [1]_: the path of densities of least
+    """Solve a potential mean-field game on a surface [1]_: find the path of densities that minimizes
 
     ``∫ Σ_T A_T P L(x_T, M / P) + ∫ F(P) dt + F_T(P(1))`` with ``∂_t P + div M = 0``
 
-    from ``density0`` to ``density1``, or to where the terminal cost pulls if that is None. At its minimum no player gains by another
-    path: that is the equilibrium. Costs are convex and made by ``bt.costs``; running costs count by the trapezoid rule in time.
+    from ``density0`` to ``density1``, or with a free end and a terminal cost if ``density1`` is None. At the minimum no player gains
+    by taking another path, so it is an equilibrium. Costs are convex and created by ``bt.costs``; running costs are integrated in time
+    by the trapezoid rule.
 
     Parameters
     ----------
@@ -98,6 +99,7 @@ def mean_field_game(
     density1 : array_like (n,), optional
         Of equal mass on each component.
     intervals : int
+        Number of time intervals.
     running_cost, terminal_cost : Cost, optional
         Sums are allowed: ``bt.costs.congestion(1.0) + bt.costs.potential(v)``. A terminal cost needs ``density1=None``.
     lagrangian : Lagrangian, optional
@@ -109,9 +111,11 @@ def mean_field_game(
     tolerance : float
         Relative gap to stop at.
     max_iterations : int
+        Iterations after which the best answer so far is returned, with ``converged=False``.
     memory : float, optional
         As for :func:`transport`.
-    progress : bool or callable, optional
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
@@ -121,7 +125,7 @@ def mean_field_game(
     Raises
     ------
     InputError
-        As :func:`transport`; a cost does not fit the shape; a density is above its cap; there is no room for the mass.
+        As for :func:`transport`; or a cost does not fit the shape, a density is above its cap, or the cap leaves no room for the mass.
 
     References
     ----------

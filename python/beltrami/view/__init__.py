@@ -59,26 +59,26 @@ def plot(
     description: str | None = None,
     progress: Progress = None,
 ) -> Picture | Page:
-    """Paints a shape; no display is needed.
+    """Draw a picture of a shape, or make an interactive page; no display is needed.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud, tuple of (vertices, faces), or ndarray (n, D)
-        Where D = 2 it is drawn flat; where D > 3 it is seen along its three principal axes, and the picture says so.
+        For D = 2 it is drawn in the plane; for D > 3 it is projected on its three principal axes, and the picture says so.
     values : array_like or mapping of str to array_like, optional
         What to colour it by: (n,) numbers; (n, 3) or (n, 4) colours from 0 to 1 or integers from 0 to 255; (n,) integers or booleans as
-        labels (negative: no label); or any of these for the m faces. Several, by name, give a panel each (an interactive page lets
-        choose). Where a number is not finite there is no data: grey, and the picture says how many.
+        labels (negative: no label); or any of these for the m faces. A mapping of names to values gives one panel each (on an
+        interactive page, a menu). Numbers that are not finite count as missing: they are drawn grey, and the picture gives their number.
     path : path, optional
         ``.png`` for a picture, ``.html`` for an interactive page in one file. Without it the picture is only returned.
     views : view, list of views, or mapping of names to views, optional
-        From where: 'front', 'back', 'left', 'right', 'top', 'bottom', 'three-quarter', 'three-quarter right', 'three-quarter back';
-        (azimuth, elevation) in radians; or a direction (x, y, z) towards the eye. Several are painted side by side,
-        with their names below: ``{"lateral": "left", "medial": "right"}`` gives them others.
+        Directions of view: 'front', 'back', 'left', 'right', 'top', 'bottom', 'three-quarter', 'three-quarter right', 'three-quarter back';
+        (azimuth, elevation) in radians; or a direction (x, y, z) towards the eye. Several are drawn side by side with
+        their names below; ``{"lateral": "left", "medial": "right"}`` gives them other names.
     up : {'y', 'z', 'x'}
         Which axis of the shape points upwards.
     title, label : str, optional
-        Headline; what the colour bar measures, with its unit.
+        Title of the picture; name and unit of the quantity on the colour bar.
     colormap : str or list of colours, optional
         A name of :func:`beltrami.view.colors.table`; by default 'viridis', or 'balance' around zero for numbers of both signs.
     limits : (low, high), optional
@@ -92,30 +92,31 @@ def plot(
     color : colour, optional
         Colour of a shape without values.
     lines : array_like (k, D) or list of them, optional
-        Polylines with depth; ``line_color`` one colour or one each, ``line_width`` in pixels.
+        Polylines, hidden where the surface is in front; ``line_color`` is one colour or one for each, ``line_width`` is in pixels.
     points : array_like (k, D) or of vertex numbers, optional
-        Marked places; ``point_color`` one colour or one each, ``point_size`` in pixels.
+        Marked points; ``point_color`` is one colour or one for each, ``point_size`` is in pixels.
     radius : float, optional
         Radius of the points of a cloud as a length; by default so that neighbours touch.
     transparency : float
-        From 0 to 1 (clear glass), for lines and points inside.
+        From 0 (opaque) to 1 (invisible), to show lines and points inside.
     edges, smooth, shading, perspective : bool
-        Draw the mesh's edges; interpolate light over triangles; any light at all (without it colours are exactly those of the bar);
-        perspective.
+        Whether to draw the edges of the mesh; to interpolate light over triangles; to use light at all (without it colours are exactly
+        those of the bar); to draw in perspective.
     background : colour
-        '#rrggbb', or three numbers from 0 to 1; words are light on dark ones. Of pictures; a page follows the reader's settings.
+        '#rrggbb', or three numbers from 0 to 1; text is light on dark backgrounds. For pictures; a page follows the reader's settings.
     size : (width, height)
         In pixels.
     samples : int
-        Rows and columns of samples in a pixel, 1 to 8.
+        Rows and columns of samples per pixel, from 1 to 8.
     description : str, optional
-        Text for those who cannot see the picture; one is made otherwise.
-    progress : bool or callable, optional
+        Text for those who cannot see the picture; by default it is generated.
+    progress : callable or True, optional
+        Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
     Returns
     -------
     Picture or Page
-        Jupyter shows either.
+        Jupyter displays either.
 
     Raises
     ------

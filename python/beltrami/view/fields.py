@@ -122,7 +122,7 @@ def field_of(
         plain[0, :3] = PLAIN if color is None else colors.color(color)
         return Field(name, "uniform", nothing, no_labels, plain)
     array = arrays.anything(values, name)
-    where = "a vertex" + (" or a face" if face_count else "")
+    where = "per vertex" + (" or face" if face_count else "")
     lengths = (vertex_count, face_count or vertex_count)
     if array.dtype.kind not in "buif" or array.ndim not in (1, 2) or len(array) not in lengths:
         wanted = f"({vertex_count},)" + (f" or ({face_count},)" if face_count else "") + f", or ({vertex_count}, 3)"
