@@ -46,17 +46,18 @@ class _Executor(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DistanceMatrix:
-    """Distances between all shapes of a collection. Made by :func:`distance_matrix`; NumPy takes it for its matrix.
+    """Distances between all shapes of a collection, returned by :func:`distance_matrix`. NumPy functions accept it as its matrix.
 
     Attributes
     ----------
     matrix : (k, k) array
         Symmetric, 0 on the diagonal; ``inf`` in the rows of shapes that failed.
     failures : dict of int to str
-        What was wrong with which shape, or, for a pair that failed, under the first of the two.
+        What was wrong, by the index of the shape; a pair that failed is listed under the first of the two.
     labels : tuple of str
         Names of the shapes.
     method : str
+        The method that was used.
     """
 
     matrix: Floats

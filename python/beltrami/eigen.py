@@ -31,15 +31,15 @@ class Eigenpairs:
     Attributes
     ----------
     values : ndarray (k,)
-        λ, ascending, with all copies of multiple ones; 1 / length² for surfaces.
+        λ, ascending, with multiplicities; in 1 / length² for surfaces.
     functions : ndarray (n, k)
         φ, orthonormal in the mass inner product; the entry of largest size is positive. 0 at vertices without mass.
     residuals : ndarray (k,)
         ``|L φ - λ m φ|`` in the norm of ``diag(m)^-1``: an exact eigenvalue lies within this distance of the value.
     iterations : int
-        Blocks of solves that were needed; 0 where a dense solver was faster.
+        Number of block solves; 0 if a dense solver was used.
     shape : TriangleMesh or PointCloud or None
-        What they belong to; None for a pencil of matrices.
+        The shape they belong to; None for a matrix pencil.
     """
 
     values: Floats

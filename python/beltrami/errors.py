@@ -16,7 +16,7 @@ __all__ = [
 
 
 class Error(Exception):
-    """Base of all errors of beltrami. The message says what is wrong, where, the value, and what to do."""
+    """Base class of all errors of beltrami. The message says what is wrong, where, the value, and what to do."""
 
 
 class InputError(Error, ValueError):
@@ -36,7 +36,7 @@ class NumericalError(Error, ArithmeticError):
 
 
 class ConvergenceError(Error, RuntimeError):
-    """An iteration ended before it reached its tolerance, and what it had is no answer."""
+    """An iteration ended before it reached its tolerance, without a usable answer."""
 
 
 class Cancelled(Error, RuntimeError):

@@ -14,7 +14,7 @@ __all__ = ["HeatMethod", "geodesic_distance"]
 
 
 class HeatMethod:
-    """Distances on one shape from as many sets of sources as one likes: the factorizations are kept.
+    """Geodesic distances on one shape from many sets of sources, with factorizations computed once.
 
     Heat spreads for a short time from the sources, its normalized gradient is that of the distance, and a Poisson equation
     recovers the distance from it [1]_:
@@ -22,19 +22,19 @@ class HeatMethod:
     1. ``(M + t L) u = δ``, 2. ``X = -grad u / |grad u|``, 3. ``L φ = -M div X``. On shapes with boundary u is the sum
     of the flows with natural and with zero boundary values. Between sources that are neighbours X is 0, and φ is 0 at every source.
 
-    Where a weight of a mesh's stiffness is positive (edges that are not Delaunay, obtuse angles at the boundary) heat would become
-    negative and distances wrong: then the operators of the tufted cover [2]_ are used, and ``operators.notes`` says so.
+    If an off-diagonal entry of a mesh's stiffness is positive (edges that are not Delaunay, obtuse angles at the boundary), heat would
+    become negative and distances wrong. Then the operators of the tufted cover [2]_ are used, and ``operators.notes`` says so.
 
     Parameters
     ----------
     shape : TriangleMesh, PointCloud or Operators
     time_factor : float
-        The time t in units of the squared spacing. Larger smooths.
+        The time t in units of the squared spacing. Larger values smooth more.
 
     Attributes
     ----------
     operators : Operators
-        Those that are used.
+        The operators that are used.
 
     References
     ----------

@@ -259,7 +259,7 @@ def geodesic_graph(shape: Shape | Operators) -> scipy.sparse.csr_array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MapEvaluation:
-    """How good a point map is. Made by :func:`evaluate_map`.
+    """The quality of a point map, computed by :func:`evaluate_map`.
 
     Attributes
     ----------

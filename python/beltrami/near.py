@@ -149,7 +149,7 @@ class ClosestPointsResult:
     distances : (q,) array
         In the units of the mesh.
     faces : (q,) int32 array
-        The triangle each lies on; of several equally near ones the least number.
+        The triangle each lies on; in a tie the one with the lowest index.
     barycentric : (q, 3) array
         ``points[i]`` is ``barycentric[i] @ vertices[mesh.faces[faces[i]]]``; at least 0, sum 1.
     """
@@ -210,13 +210,13 @@ class RayHitsResult:
     Attributes
     ----------
     faces : (r,) int32 array
-        The triangle that is hit, of several at the same distance the least number; -1 where a ray misses.
+        The triangle that is hit, in a tie the one with the lowest index; -1 if the ray misses.
     distances : (r,) array
-        From the origins, in the units of the mesh, whatever the lengths of the directions; inf where a ray misses.
+        From the origins, in the units of the mesh, whatever the lengths of the directions; inf if the ray misses.
     points : (r, 3) array
-        The hits; where a ray misses its origin.
+        The points that are hit; the origin of the ray if it misses.
     barycentric : (r, 3) array
-        Of the hits on their faces; 0 where a ray misses.
+        Barycentric coordinates of the hits in their faces; 0 if the ray misses.
     """
 
     faces: Ints

@@ -24,7 +24,7 @@ Mass = Literal["lumped", "voronoi"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Operators(ABC):
-    """Operators of a shape with n vertices or points. Made by :func:`operators`. Its arrays and the values of its matrices are read-only.
+    """Operators of a shape with n vertices or points, made by :func:`operators`. Arrays and the values of matrices are read-only.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Operators(ABC):
     spacing : float
         Mean length of the edges.
     notes : tuple of str
-        What is worth knowing about how they were made.
+        Remarks on how they were made.
     """
 
     shape: Shape

@@ -445,8 +445,8 @@ class PointCloud(_Shown):
     data : mapping of str to array_like (n, ...), optional
         Values that belong to the points.
     deduplicate : bool
-        Keep only the first of points that coincide (to 1e-10 of the distance to their 6th neighbour), and what belongs to it.
-        Operators refuse clouds with copies.
+        Keep only the first of points that coincide (to 1e-10 of the distance to their 6th neighbour), with its data.
+        Operators refuse clouds with repeated points.
 
     Raises
     ------

@@ -154,10 +154,11 @@ class RotationInvariantSlicedWassersteinResult:
     history : dict of str to ndarray
         ``distance`` (iterations + 1,): at each rotation of the run that led here; never rises.
     iterations : int
+        Number of iterations.
     converged : bool
-        Whether the last step lessened the squared distance by less than `tolerance`, relatively.
+        Whether the last step reduced the squared distance by less than `tolerance`, relatively.
     directions : (T, D) array
-        Those that were used.
+        The directions that were used.
     """
 
     distance: float

@@ -23,14 +23,14 @@ class Cholesky:
 
     Multifrontal over supernodes [1]_, in parallel, with the same bits on any number of threads. The order is nested
     dissection [2]_ by planes through the coordinates, or by distances in the graph of the matrix, with minimum degree in its leaves.
-    Every solve looks at its residual and takes a step of iterative refinement where that is above 1e-13.
+    Every solve checks its residual and takes a step of iterative refinement if it is above 1e-13.
 
     Parameters
     ----------
     matrix : sparse matrix or array, (n, n)
         Symmetric positive definite, both triangles stored; any format of scipy.
     coordinates : (n, D) array, optional
-        Where the unknowns are, e.g. the vertices of the mesh; they lead to a good order faster.
+        Positions of the unknowns, e.g. the vertices of the mesh; they speed up the ordering.
     progress : callable or True, optional
         Called with the share of work done, 0 to 1; returning False stops with :class:`Cancelled`. True draws a bar.
 
@@ -186,10 +186,9 @@ def _again(ops: Operators, method: PoissonMethod, tolerance: float) -> PoissonSo
 
 
 class PoissonSolver:
-    """Solves ``L u = b`` on one shape, whose stiffness L is singular: one constant a connected component.
+    """Solver of ``L u = b`` on one shape, whose stiffness L is singular: its kernel has one constant per connected component.
 
-    The right-hand side is made compatible, one unknown of each component is grounded, and of all solutions the one with zero mean
-    is handed out.
+    The right-hand side is made compatible, one unknown of each component is fixed, and the solution with zero mean is returned.
 
     Parameters
     ----------

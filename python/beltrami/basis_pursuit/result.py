@@ -35,7 +35,7 @@ class ConformalRegistrationResult:
     source_basis : ndarray (n_source, N)
         Φ: eigenfunctions of the source, orthonormal under its mass.
     basis : ndarray (n_target, N)
-        Ψ: orthonormal under ``exp(η) m``; row for row near Φ where the map is right.
+        Ψ: orthonormal under ``exp(η) m``; its rows are close to those of Φ where the map is correct.
     values : ndarray (N,)
         Eigenvalues of Φ.
     orthonormality_error : float
@@ -45,9 +45,9 @@ class ConformalRegistrationResult:
     history : dict of str to ndarray
         ``objective`` after each block of the alternation and its ``level`` (size of the basis); it never rises within a level.
     roughness : dict of str to float
-        Dirichlet energy of the factor, both ways, of each map that was tried; the least was taken.
+        Dirichlet energy of the factor, in both directions, of each map that was tried; the map with the least was chosen.
     landmarks : ndarray (k, 2) of int64
-        Those that were given and those that were found.
+        The landmarks that were given and those that were found.
     coverage : float
         Share of the target's area that the point map reaches.
     confidence : ndarray (n_source,)
@@ -55,12 +55,13 @@ class ConformalRegistrationResult:
     consistency : float
         Mean of d.
     start : str
-        Which map was taken.
+        Which map was chosen.
     iterations : int
         Blocks of the alternation.
     converged : bool
-        Whether the last level ended because nothing changed any more.
+        Whether the last level ended because nothing changed anymore.
     notes : tuple of str
+        Remarks on the input and the answer.
     """
 
     source: Shape

@@ -88,11 +88,11 @@ class SpectrumMatch:
     log_factor : ndarray (n,)
         η = log w².
     pairs : Eigenpairs
-        Of the shape with that factor.
+        The eigenpairs of the shape with that factor.
     wanted : ndarray (k,)
-        The values that were asked for.
+        The prescribed eigenvalues.
     error : float
-        Greatest relative difference from them, the zero left out.
+        Largest relative difference from them, without the zero.
     history : dict of str to ndarray
         ``objective`` of each step; it never rises.
     converged : bool

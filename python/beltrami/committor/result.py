@@ -71,16 +71,19 @@ class CommittorResult:
     rate_constant, rate_constant_backward : float
         k_AB = nu_AB / p_A and k_BA = nu_AB / (1 - p_A).
     share_A : float
-        p_A, the share of time for which A was visited last.
+        p_A, the share of time during which A was visited last.
     current : ndarray (n, D)
         Reactive current, exp(-β U) grad q / (β Z): trajectories per unit of time and length; 0 in A and B.
     reactive_density : ndarray (n,)
-        Probability density of being there and on the way from A to B.
+        Probability density of being at the point while on the way from A to B.
     potential : ndarray (n,)
-        U that was used, in the user's units, least value 0.
+        The potential U that was used, in the user's units, with minimum 0.
     in_A, in_B : ndarray (n,) of bool
+        Which points lie in the sets.
     beta : float
+        The inverse temperature.
     method : {"weak", "strong"}
+        The method that was used.
     assumption : str
         What was assumed about the samples.
     replicates : ndarray (k,)

@@ -34,12 +34,12 @@ def _needed(value: Any, name: str, kind: type) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SphericalMapResult:
-    """A map of a shape to the unit sphere, with what certifies it.
+    """A map of a shape to the unit sphere, with its certificate.
 
     Attributes
     ----------
     shape : TriangleMesh or PointCloud
-        What was mapped.
+        The shape that was mapped.
     positions : ndarray (n, 3)
         Images of the vertices, unit vectors; their mean, weighted by the areas of the source, is zero.
     conformal_factor : ndarray (n,)
@@ -47,22 +47,24 @@ class SphericalMapResult:
     energy, area : float
         Dirichlet energy E by the mesh's own cotangents, and signed area A of the image polyhedron.
     flipped : int
-        Triangles whose image is turned over.
+        Number of triangles whose image is flipped.
     angle_error : ndarray (m,)
         Mean change of a triangle's three angles, in radians.
     dilatation : ndarray (m,)
         Ratio of the greater to the smaller stretch of each triangle: 1 where it is conformal, infinite where the triangle or its
         image has no area.
     iterations : int
+        Number of iterations.
     converged : bool
+        Whether the tolerance was reached.
     history : dict of str to ndarray
         ``move`` (root mean square move of each step) and ``excess`` (E - A before each step).
     notes : tuple of str
-        What is worth knowing about how the map was found.
+        Remarks on how the map was found.
     faces : ndarray (m, 3) of int32
-        The triangles of the map: those of the mesh, turned outwards where they looked inwards; of a cloud the simplices of the stars.
+        The triangles of the map: those of the mesh, oriented outwards; for clouds the simplices of the stars.
     weights : ndarray (m,)
-        How much each triangle counts: 1, of a cloud the share of its corners whose star holds it.
+        Weight of each triangle: 1, or for clouds the share of its corners whose star contains it.
     """
 
     shape: Shape

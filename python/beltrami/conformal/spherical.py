@@ -28,7 +28,7 @@ class SurfaceMap:
     faces : ndarray (n,) of int32
         The triangle in which each vertex lands, a row of ``triangles``.
     barycentric : ndarray (n, 3)
-        Where in it.
+        Barycentric coordinates in that triangle.
     triangles : ndarray (m, 3) of int32
         Triangles of the target.
     target_points : ndarray (k, D)
@@ -249,7 +249,7 @@ class SphericalHarmonics:
         Row l (l + 1) + m belongs to degree l and order m, -l <= m <= l.
     degree : int
     error : float
-        Root mean square of what the sum leaves out, over the root mean square distance from the mean.
+        Root mean square of the remainder, divided by the root-mean-square distance from the mean.
     """
 
     coefficients: Floats

@@ -150,8 +150,8 @@ class RegistrationCandidate:
     point_map : (n,) int32 array
         Index in the target of each source point, by this map alone (not polished). Computed when it is asked for.
     energy : float
-        What decides: of deforming the source onto its image (surfaces in R^3), or else the mean squared distance of nearest
-        rows. Only energies of one call compare.
+        What decides between candidates: the energy of deforming the source onto its image (surfaces in R^3), or else the mean squared
+        distance of nearest rows. Only energies of one call can be compared.
     smoothness : float
         Agreement of the triple products of eigenfunctions, at most 1.
     orientation : float

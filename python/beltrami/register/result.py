@@ -38,24 +38,24 @@ class RegistrationResult:
     distance : float
         The rotation-invariant sliced Wasserstein distance of the eigenmaps at this rotation; no unit.
     candidates : tuple of RegistrationCandidate
-        All that were compared to the end, best first; the first one led to the answer.
+        All candidates that were fully refined, best first; the first one led to the answer.
     coverage : float
         Share of the target's area at points that are images.
     bijectivity : float
-        Mean distance, over the root of the area, between a source point and where the map and the map back bring it.
+        Mean distance, divided by the square root of the area, between a source point and where the map and the map back take it.
     orientation : float
         Agreement of oriented triple products, at most 1; 0 if a shape has no orientation.
     mirror_decided : bool
         Whether orientation told left and right apart. A cloud has one if it samples a closed surface in R^3. False for other clouds and
         for faces that cannot be oriented: look at ``candidates``.
     extrinsic : bool
-        Whether positions in R^3 took part (curvature, rigid deformation), and not only what bending keeps.
+        Whether positions in R^3 were used (curvature, rigid deformation), and not only what bending preserves.
     positions : (n_source, 3) array or None
-        The source deformed onto the target, in the target's place and size; None if not extrinsic.
+        The source deformed onto the target, in its position and size; None if not extrinsic.
     history : dict of str to array
         ``"levels"``: orders of the functional map; with ``method="rswd"`` also ``"distance"`` at each.
     notes : tuple of str
-        What is worth knowing.
+        Remarks on the input and the answer.
     source, target : TriangleMesh or PointCloud
     source_masses : (n_source,) array
         Shares of the source's area.

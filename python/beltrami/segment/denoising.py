@@ -25,19 +25,22 @@ PENALTY = 9.0  # of denoising, for an image of standard deviation 1, in units of
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DenoisingResult:
-    """A denoised image, and how far from the best it can be at most.
+    """A denoised image, and a bound on its distance from the optimum.
 
     Attributes
     ----------
     shape : TriangleMesh or PointCloud
     image : ndarray (n,) or (n, channels)
     primal, dual, gap : float
-        Value reached, a lower bound of all values, and ``(primal - dual) / primal``, for a surface of unit area.
+        Energy of the answer, a lower bound for all images, and ``(primal - dual) / primal``, for a surface of unit area.
     dual_field : ndarray (m, D), (m, channels, D), or (edges,), (edges, channels) for ``tv="edge"``
         Of length at most 1; it proves the bound.
     fidelity : float
+        The fidelity that was used.
     iterations : int
+        Number of iterations.
     converged : bool
+        Whether the tolerance was reached.
     history : dict of str to ndarray
         ``iteration``, ``primal``, ``dual``, ``gap`` at each certificate.
     """

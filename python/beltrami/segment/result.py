@@ -21,7 +21,7 @@ from ..view import Page, Picture, plot
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SegmentationResult:
-    """Regions of an image on a surface, and how far from the best they can be at most.
+    """Regions of an image on a surface, and a bound on their distance from the optimum.
 
     Attributes
     ----------
@@ -38,16 +38,18 @@ class SegmentationResult:
         Polylines on the surface where phi is 1/2 (where a region's membership passes the others'), the greater side to the left;
         closed ones repeat their first point.
     contour_length : float
-        Their total length in units of length; where two regions of many meet, counted once.
+        Their total length; a boundary between two of many regions is counted once.
     primal, dual, gap : float
-        Value reached, a lower bound of all values, and ``(primal - dual) / |primal|``, for a surface of unit area.
+        Energy of the answer, a lower bound for all memberships, and ``(primal - dual) / |primal|``, for a surface of unit area.
     threshold_energy, excess : float
-        Value of the labels themselves (memberships 0 and 1), and ``(threshold_energy - dual) / |primal|``. With ``tv="edge"`` the
+        Energy of the labels themselves (memberships 0 and 1), and ``(threshold_energy - dual) / |primal|``. With ``tv="edge"`` the
         excess tends to zero; with isotropic total variation a percent is usual, because triangles make the labels' outline jagged.
     dual_field : ndarray (m, D), (m, regions, D) for more than two, or (edges,) for ``tv="edge"``
         Tangent vectors of length at most 1 (1/2 for more than two regions) that prove the bound. On intrinsic triangulations in frames.
     fidelity : float
+        The fidelity that was used.
     iterations : int
+        Number of iterations.
     converged : bool
         Whether the gap reached the tolerance.
     history : dict of str to ndarray

@@ -34,7 +34,7 @@ class SkeletonResult:
     radii : ndarray (k,)
         Mean distance of the surface from each node, across the skeleton.
     leaves, cycles : int
-        Nodes of one edge, and independent loops. On closed meshes the loops are the handles: exactly, before ``cancelled``.
+        The number of nodes with one edge, and of independent loops. On closed meshes the loops are exactly the handles.
     node_of_point : ndarray (n,) of int32
         The node that each vertex or point belongs to.
     limbs : list of ndarray of int32
@@ -44,23 +44,23 @@ class SkeletonResult:
     components : ndarray (k,) of int32
         The connected piece of the shape that each node belongs to.
     contours : list of ndarray (c, D)
-        Points of the level set that each node stands for, in order around it; empty at some joints.
+        Points of the level set that each node represents, in order around it; empty at some joints.
     function : ndarray (n,)
-        What the levels are of, read-only; numbers that were handed in as they were.
+        The function whose level sets were used, read-only; values that were given are unchanged.
     eigenvalues : ndarray
         The first eigenvalues of the (first) piece if the function is made of eigenfunctions; else empty.
     critical : tuple of int
         Minima, saddles (with multiplicity) and maxima of the function. On closed meshes minima - saddles + maxima is the Euler
         characteristic; (0, 0, 0) for clouds.
     cut : ndarray
-        How many times longer than wide each limb was that was too short to keep.
+        For each limb that was cut, how many times longer than wide it was.
     cancelled : ndarray
-        Height of each loop that was ascribed to the sampling of a cloud, in units of length along the function.
+        Height of each loop that was attributed to the sampling of a cloud, in units of length along the function.
     stability : tuple of float
         The greatest height of a cancelled loop and the least of one that is kept: the number of loops is the same for every
         threshold between. ``(0, inf)`` for trees in which nothing was cancelled.
     notes : tuple of str
-        What is worth knowing: pieces left out, noise, multiple eigenvalues.
+        Remarks: components left out, noise, multiple eigenvalues.
     """
 
     shape: Shape

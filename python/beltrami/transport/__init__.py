@@ -21,14 +21,14 @@ __all__ = ["Flow", "TransportResult", "transport"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TransportResult(Flow):
-    """A geodesic of densities in the Wasserstein distance, and how far from the shortest it can be at most.
+    """A geodesic of densities in the Wasserstein distance, and a bound on its distance from the optimum.
 
-    All that :class:`Flow` has, and
+    It has all attributes of :class:`Flow`, and also:
 
     Attributes
     ----------
     cost : float
-        ``½ W2²``: the kinetic energy of the path handed out, ``1 / intervals Σ_k Σ_T A_T |M|² / (2 ρ)``.
+        ``½ W2²``: the kinetic energy of the returned path, ``1 / intervals Σ_k Σ_T A_T |M|² / (2 ρ)``.
     distance : float
         W2, the root of twice the cost, between measures of the mass that the densities have: it grows with the root of that mass.
         For the distance of probability distributions give densities of unit mass, ``density / (ops.mass @ density)``.

@@ -30,7 +30,7 @@ RATIO = 0.2  # of the dual to the primal step: ends that must agree want longer 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BarycenterResult:
-    """The density with the least mean squared Wasserstein distance from some others, and how far from the least it can be at most.
+    """A density that minimizes the mean squared Wasserstein distance from given ones, and a bound on its distance from the optimum.
 
     Attributes
     ----------
@@ -40,13 +40,15 @@ class BarycenterResult:
     weights : ndarray (k,)
         They add up to 1.
     cost, lower_bound, gap : float
-        ``½ Σ w_i W2²`` of the paths that were found, what no density can go below, and the relative distance of the two.
+        ``½ Σ w_i W2²`` of the paths that were found, a lower bound for all densities, and the relative difference of the two.
     distances : ndarray (k,)
         Length of the path from each density to the barycenter.
     paths : ndarray (k, intervals + 1, n)
         Densities on the way from each to the barycenter.
     iterations : int
+        Number of iterations.
     converged : bool
+        Whether the tolerance was reached.
     history : dict of str to ndarray
         ``iteration``, ``cost``, ``lower_bound``, ``gap``.
     """

@@ -83,14 +83,15 @@ class Flow:
     potential : ndarray (intervals, n)
         φ, whose gradient is the velocity where there is mass.
     lower_bound, gap : float
-        What no path can cost less than, and how far the answer is above it, relative.
+        A lower bound for the cost of all paths, and the relative distance of the answer above it.
     continuity_residual : float
         Of ``(ρ_{k+1} - ρ_k) intervals + div M = 0``, relative to the sizes of density and change.
     iterations : int
+        Number of iterations.
     converged : bool
         Whether the gap reached the tolerance.
     history : dict of str to ndarray
-        ``iteration``, ``objective``, ``lower_bound``, ``gap`` each time the bounds were worked out; the best so far.
+        ``iteration``, ``objective``, ``lower_bound``, ``gap`` each time the bounds were computed; the best so far.
     corners : ndarray (m, 3)
         Vertices of the triangles that the momentum lives on.
     """

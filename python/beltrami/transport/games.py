@@ -23,19 +23,19 @@ __all__ = ["MeanFieldGameResult", "mean_field_game"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MeanFieldGameResult(Flow):
-    """An equilibrium of a potential mean-field game, and how far from it the answer can be at most.
+    """An equilibrium of a potential mean-field game, and a bound on the distance of the answer from it.
 
-    All that :class:`Flow` has, and
+    It has all attributes of :class:`Flow`, and also:
 
     Attributes
     ----------
     objective : float
         ``kinetic + running + terminal``.
     kinetic, running, terminal : float
-        What moving costs, what being somewhere costs (trapezoid rule in time), and what the end costs.
+        The costs of moving, the running costs (trapezoid rule in time), and the terminal cost.
     exploitability : float
-        The first-order (Nash) residual: how much players could gain together by other paths while everybody else keeps to this
-        one is not more than this, as a share of the objective's size. Infinite where no potential bounds it, far from convergence.
+        The first-order (Nash) residual: an upper bound on what players could gain together by other paths while everybody else keeps
+        to this one, relative to the size of the objective. Infinite if no potential bounds it, far from convergence.
     """
 
     objective: float

@@ -21,7 +21,7 @@ class Picture:
     ----------
     pixels : ndarray (height, width, 3) of uint8
     description : str
-        What is to be seen, for those who cannot see it.
+        What the picture shows, in words, for those who cannot see it.
     path : Path or None
         Where it was saved.
     """
