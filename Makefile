@@ -5,17 +5,19 @@ BIN := .venv/bin
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 # where rustup puts cargo, if this shell has not been told yet
 export PATH := $(PATH):$(HOME)/.cargo/bin
-# property tests draw the same examples in every run: a red run can be repeated (see tests/python/conftest.py for Python's)
 # small dense matrices of the tests only suffer from threads of their own
 export OPENBLAS_NUM_THREADS ?= 1
+# property tests draw the same examples in every run: a red run can be repeated (see tests/python/conftest.py for Python's)
 export PROPTEST_RNG_SEED ?= 20
+# two sections of the gallery show research data where they lie beside the project
+export BELTRAMI_DATA ?= $(wildcard $(CURDIR)/../shared/data)
 SOURCES := $(shell find rust python/binding -name '*.rs') Cargo.toml Cargo.lock python/binding/Cargo.toml pyproject.toml
 
 .PHONY: help system build demo test check bars bench docs slow wheel wheels clean
-help: ## this list
+help: ## print this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
 
-system: ## what a bare Debian or Ubuntu lacks: a linker, Python's venv, Rust; elsewhere it says what is missing
+system: ## install what a bare Debian or Ubuntu lacks (linker, venv, Rust); elsewhere say what is missing
 	@missing=; command -v cc >/dev/null || missing="build-essential"; \
 	$(PYTHON) -c "import ensurepip, venv" 2>/dev/null || missing="$$missing python3 python3-venv"; \
 	command -v cargo >/dev/null || command -v curl >/dev/null || missing="$$missing curl ca-certificates"; \
@@ -36,17 +38,17 @@ system: ## what a bare Debian or Ubuntu lacks: a linker, Python's venv, Rust; el
 	. $(BIN)/activate && PIP_QUIET=1 maturin develop --release --quiet
 	@touch $@
 
-build: .venv/.built ## make .venv and install the release build with all that tests and demo use
+build: .venv/.built ## create .venv with the release build and everything that tests and demo use
 
-demo: build ## the main job on real input: writes gallery/index.html
+demo: build ## write gallery/index.html: the main results on real shapes
 	$(BIN)/python -m beltrami gallery -o gallery
 
-test: build ## all tests: Rust, Python, and what `make check` asks
+test: build ## run all tests, Rust and Python, and then `make check`
 	cargo test --release --workspace --quiet
 	$(BIN)/python -m pytest -q
 	@$(MAKE) --no-print-directory check
 
-check: build ## formatting, lints, types, stubs
+check: build ## check formatting, lints, types and stubs
 	@cargo fmt --version >/dev/null 2>&1 && cargo clippy --version >/dev/null 2>&1 || rustup component add rustfmt clippy
 	cargo fmt --all --check
 	cargo clippy --release --workspace --all-targets --quiet -- -D warnings
@@ -55,34 +57,34 @@ check: build ## formatting, lints, types, stubs
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy.stubtest beltrami._core
 
-bars: build ## the acceptance checks beside the project, where they are present
+bars: build ## run the acceptance checks, if they lie beside the project
 	@if [ -f ../shared/checks/all.py ]; then $(BIN)/python ../shared/checks/all.py; else echo "../shared/checks is absent: no bars to hold against"; fi
 
-docs: build ## the site: site/index.html, with a reference of all names
+docs: build ## build the site: site/index.html, with a reference of all names
 	cargo doc --release --no-deps --quiet
 	$(BIN)/python docs/build.py
 
-bench: build ## times of the kernels, and side by side with other libraries where they are installed
+bench: build ## time the kernels, compare with other libraries where installed, measure cost against size
 	cargo bench --quiet
 	$(BIN)/python benches/results.py
 	$(BIN)/python benches/scale.py
 
-wheel: build ## the wheel in dist/, tried in empty environments (PYTHONS="python3.10 python3.13" for others than this Python)
+wheel: build ## build the wheel in dist/ and try it in empty environments (PYTHONS="python3.10 python3.13")
 	rm -rf dist && . $(BIN)/activate && maturin build --release --locked --out dist
 	$(BIN)/python python/try_wheel.py dist/*.whl $(PYTHONS)
 
 # zig, a Python package, links for every one of them
 CROSS := x86_64-unknown-linux-gnu aarch64-unknown-linux-gnu x86_64-unknown-linux-musl aarch64-unknown-linux-musl aarch64-apple-darwin
-wheels: build ## wheels of the platforms in CROSS, built on this one machine with zig, in dist/ (what a release runs is release.yml)
+wheels: build ## cross-build wheels for the platforms in CROSS with zig, in dist/ (releases use release.yml)
 	rustup target add $(CROSS)
 	$(BIN)/python -m pip install -q "maturin[zig]>=1.9,<2" abi3audit
 	rm -rf dist && . $(BIN)/activate && for target in $(CROSS); do \
 	  maturin build --release --locked --zig --target $$target --out dist || exit 1; done
 	for wheel in dist/*; do $(BIN)/python -m abi3audit --strict $$wheel || exit 1; done
 
-slow: build ## the sweeps that take minutes, from new seeds in every run
+slow: build ## run the sweeps that take minutes, with new seeds in every run
 	PROPTEST_CASES=100000 PROPTEST_RNG_SEED=$$(date +%s) cargo test --release --quiet --test io --test hostile
 	HYPOTHESIS_PROFILE=random $(BIN)/python -m pytest -q -m slow
 
-clean: ## remove what was built
+clean: ## remove everything that was built
 	rm -rf target .venv gallery site

@@ -161,3 +161,14 @@ def test_every_extra_is_explained() -> None:
     assert [extra for extra in extras if f"`{extra}`" not in page] == []
     code = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "python" / "beltrami").rglob("*.py"))
     assert set(re.findall(r"beltrami\[(\w+)\]", code)) <= set(extras)
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    wanted = {
+        "Cargo.toml": f'version = "{bt.__version__}"',
+        "pyproject.toml": f'version = "{bt.__version__}"',
+        "python/binding/Cargo.toml": f'version = "{bt.__version__}"',
+        "CITATION.cff": f"version: {bt.__version__}",
+        "CHANGELOG.md": f"## {bt.__version__}",
+    }
+    assert [name for name, line in wanted.items() if line not in (ROOT / name).read_text(encoding="utf-8").splitlines()] == []

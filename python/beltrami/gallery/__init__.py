@@ -39,6 +39,14 @@ _MODULES = (
 SECTIONS: dict[str, Callable[[Sheet], None]] = {}
 
 
+def research_data(*names: str) -> list[Path] | None:
+    """Files below the folder that the environment variable ``BELTRAMI_DATA`` names; None if one of them is absent. They hold data that may
+    not be distributed with the package."""
+    folder = os.environ.get("BELTRAMI_DATA")
+    files = [Path(folder, name) for name in names] if folder else []
+    return files if files and all(file.is_file() for file in files) else None
+
+
 def section(title: str) -> Callable[[Callable[[Sheet], None]], Callable[[Sheet], None]]:
     """Registers a section under a title; sections appear in the order in which they are registered."""
 

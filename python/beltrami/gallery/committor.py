@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 
 import numpy as np
 
 import beltrami as bt
 from beltrami.arrays import Floats
 
-from . import Sheet, section
+from . import Sheet, research_data, section
 
 RING, TUBE = 2.0, 0.8
 WELLS = ((6.0, 0.0, 0.3), (4.5, 2.0, 1.5), (5.5, -1.9, -0.6))  # depth and both angles of each
@@ -164,14 +162,14 @@ def plane(sheet: Sheet) -> None:
 
 @section("Committors: alanine dipeptide")
 def dipeptide(sheet: Sheet) -> None:
-    path = Path(os.environ.get("BELTRAMI_DATA", "../shared/data")) / "committor" / "ala2_900K.npz"
-    if not path.exists():
+    files = research_data("committor/ala2_900K.npz")
+    if files is None:
         sheet.text(
-            "The trajectory for this section is not present: set `BELTRAMI_DATA` to a folder with `committor/ala2_900K.npz` (arrays "
-            "phi_rad, psi_rad). The torus above is the same problem with a made potential."
+            "The trajectory for this section does not come with the package: set `BELTRAMI_DATA` to a folder with "
+            "`committor/ala2_900K.npz` (arrays phi_rad, psi_rad). The torus above is the same problem with a made potential."
         )
         return
-    with np.load(path) as data:
+    with np.load(files[0]) as data:
         angles = np.stack([data["phi_rad"], data["psi_rad"]], 1).astype(float)[::2]
     sheet.text(
         "The two backbone angles of alanine dipeptide, simulated in vacuum at 900 K, as points of the flat torus in R^4. The potential is "

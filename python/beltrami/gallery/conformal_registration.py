@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -12,7 +10,7 @@ import numpy as np
 import beltrami as bt
 from beltrami.arrays import Floats
 
-from . import Sheet, section
+from . import Sheet, research_data, section
 
 HEADER = ("pair", "landmarks", "mean error / √area", "share below 0.05", "coverage", "orthonormality error", "map taken", "seconds")
 
@@ -126,9 +124,8 @@ def cortex(sheet: Sheet) -> None:
 
 @section("A gorilla and a man")
 def apes(sheet: Sheet) -> None:
-    folder = Path(os.environ.get("BELTRAMI_DATA", "../shared/data")) / "registration" / "noniso5k"
-    files = [folder / f"8_{name}_01.npz" for name in ("gorilla", "man")]
-    if not all(file.exists() for file in files):
+    files = research_data(*(f"registration/noniso5k/8_{name}_01.npz" for name in ("gorilla", "man")))
+    if files is None:
         sheet.text(
             "The shapes of this section are research data that do not come with the package: set `BELTRAMI_DATA` to a folder with "
             "`registration/noniso5k/8_gorilla_01.npz` and `8_man_01.npz` (V, F, corr: the vertices of common samples)."
