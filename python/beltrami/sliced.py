@@ -250,14 +250,26 @@ def _starts(x: Floats, y: Floats, a: Floats | None, b: Floats | None, rng: np.ra
     return np.concatenate([np.eye(dimension)[None], source @ np.array(middle) @ target.T])
 
 
-def _sample(points: Floats, weights: Floats | None, seed: int) -> tuple[Floats, Floats | None]:
-    if len(points) <= _SAMPLE * 3 // 2:
-        return points, weights
-    chosen = np.sort(np.random.default_rng([seed, len(points)]).choice(len(points), _SAMPLE, replace=False))
+Measure = tuple[Floats, Floats | None]
+
+
+def _samples(points: Floats, weights: Floats | None, seed: int) -> list[Measure]:
+    """Some of many points, in two ways: at random; and evenly by mass along an order that no rotation changes, so that rotated copies
+    are sampled alike, whatever their numbering, and heavy points are never left out."""
+    count = len(points)
+    if count <= _SAMPLE * 3 // 2:
+        return [(points, weights)]
+    chosen = np.sort(np.random.default_rng([seed, count]).choice(count, _SAMPLE, replace=False))
     part = None if weights is None else weights[chosen]
-    if part is not None and not part.any():
-        return points, weights
-    return np.ascontiguousarray(points[chosen]), part
+    random: Measure = (np.ascontiguousarray(points[chosen]), part) if part is None or part.any() else (points, weights)
+    share = np.full(count, 1 / count) if weights is None else weights / max(weights.sum(), np.finfo(float).tiny)
+    x = points / max(float(np.abs(points).max()), np.finfo(float).tiny)
+    middle, moment = share @ x, (x * share[:, None]).T @ x
+    order = np.argsort(np.einsum("ij,ij->i", x, x + middle + x @ moment), kind="stable")
+    masses = np.cumsum(share[order])
+    at = np.searchsorted(masses, (np.arange(_SAMPLE) + 0.5) / _SAMPLE * masses[-1])
+    chosen, times = np.unique(order[np.minimum(at, count - 1)], return_counts=True)
+    return [random, (np.ascontiguousarray(points[chosen]), times.astype(np.float64))]
 
 
 def _distinct(runs: list[Run], most: int) -> list[Run]:
@@ -352,21 +364,26 @@ def rotation_invariant_sliced_wasserstein(
             raise InputError("starts must be orthogonal matrices, at least one")
         first = _polar(first)
     seed = int(generator.integers(2**31))
-    (p, u), (q, v) = _sample(x, a, seed), _sample(y, b, seed)
     few = theta[: dimension * -(-40 // dimension)] if np.ndim(directions) == 0 else theta
-    # both orders see the same rotations, one of them transposed
-    ends: list[Run] = []
-    for order, (s, t, sw, tw) in enumerate(((p, q, u, v), (q, p, v, u))):
-        coarse = _core.SlicedAlignment(s, t, sw, tw, few)
-        runs = [Run(rotation.T if order else rotation) for rotation in first]
-        while True:  # a few steps each, the better half goes on
-            runs = _distinct(alternate(coarse, runs, 4, tolerance), max(len(runs) // 2, 3))
-            report(0.25 * (order + 1 / len(runs)))
-            if len(runs) <= 3:
-                break
-        runs = _distinct(alternate(coarse, runs, 30, tolerance), 2)
-        ends += [Run(run.rotation.T if order else run.rotation, run.value) for run in runs]
-    rotations = [run.rotation for run in _distinct(ends, 3)] + ([np.eye(dimension)] if starts is None else [])
+    tried = list(itertools.zip_longest(_samples(x, a, seed), _samples(y, b, seed)))
+    rotations: list[Floats] = []
+    for part, pair in enumerate(tried):
+        (p, u), (q, v) = pair[0] or (x, a), pair[1] or (y, b)
+        # both orders see the same rotations, one of them transposed
+        ends: list[Run] = []
+        for order, (s, t, sw, tw) in enumerate(((p, q, u, v), (q, p, v, u))):
+            coarse = _core.SlicedAlignment(s, t, sw, tw, few)
+            runs = [Run(rotation.T if order else rotation) for rotation in first]
+            while True:  # a few steps each, the better half goes on
+                runs = _distinct(alternate(coarse, runs, 4, tolerance), max(len(runs) // 2, 3))
+                report(0.5 * (part + 0.5 * (order + 1 / len(runs))) / len(tried))
+                if len(runs) <= 3:
+                    break
+            runs = _distinct(alternate(coarse, runs, 30, tolerance), 2)
+            ends += [Run(run.rotation.T if order else run.rotation, run.value) for run in runs]
+        rotations += [run.rotation for run in _distinct(ends, 3 - part)]
+    if starts is None:
+        rotations.append(np.eye(dimension))
     best: tuple[Run, Floats] | None = None
     for order, (s, t, sw, tw) in enumerate(((x, y, a, b), (y, x, b, a))):
         report(0.5 + 0.25 * order)

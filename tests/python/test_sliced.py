@@ -216,3 +216,15 @@ def test_same_bits_on_any_number_of_threads():
         return subprocess.run([sys.executable, "-c", DIGEST], capture_output=True, text=True, check=True, env=environment).stdout
 
     assert fingerprint("1") == fingerprint("3")
+
+
+@pytest.mark.parametrize("spread", [0.0, 2.0])
+def test_rotated_copies_of_many_points_are_found_whatever_their_numbering_and_weights(spread: float) -> None:
+    """Rotations are tried on a part of them: with nearly equal principal axes, or a few heavy points, other parts had other answers."""
+    rng = np.random.default_rng(3)
+    x, weights = rng.normal(size=(3000, 3)), np.exp(spread * rng.normal(size=3000))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    order = rng.permutation(len(x))
+    found = bt.rotation_invariant_sliced_wasserstein(x, (x @ turn)[order], source_weights=weights, target_weights=weights[order])
+    assert found.distance < 1e-12
+    np.testing.assert_allclose(found.rotation, turn, atol=1e-10)
