@@ -656,3 +656,14 @@ def test_turned_grids_have_the_same_committor(cloud):
     for other in found[1:]:
         assert other.q == pytest.approx(found[0].q, abs=1e-8)
         assert other.rate == pytest.approx(found[0].rate, rel=1e-8)
+
+
+@pytest.mark.filterwarnings("error")
+def test_sets_that_touch():
+    """Rims half-way between them left no room (a rate of 1e9); and the free energy of no points at all was not a number."""
+    x = np.random.default_rng(0).uniform([-1, -0.5], [1, 0.5], (2000, 2))
+    left = x[:, 0] + 0.1 * x[:, 1] < 0
+    r = bt.committor(bt.PointCloud(x), np.zeros(len(x)), left, ~left, beta=1.0)
+    assert 1 < r.rate < 100  # some 1 / spacing, length 1 and area 2
+    assert "transition" in r.verdict
+    assert np.isposinf(r.free_energy().free_energy).all()

@@ -185,7 +185,7 @@ class CommittorResult:
         amount, edges = np.histogram(system.q[free], bins=count, range=(0.0, 1.0), weights=system.gibbs[free])
         with np.errstate(divide="ignore"):
             energy = -np.log(amount * count) / self.beta
-        return FreeEnergyResult((edges[1:] + edges[:-1]) / 2, energy - energy.min() if len(energy) else energy)
+        return FreeEnergyResult((edges[1:] + edges[:-1]) / 2, energy - energy.min() if np.isfinite(energy).any() else energy)
 
     def path(self) -> Floats:
         """The maximum-flux path from A to B, (k, D): of all paths along edges the one with the least ∫ exp(β U) ds.

@@ -174,12 +174,12 @@ def weak_form(
     count = len(u)
     edges: tuple[Any, Any] | None = None
     found = []
-    for inside, level in zip(members, given, strict=True):
+    for inside, other, level in zip(members, members[::-1], given, strict=True):
         if level is None:
             if edges is None:
                 upper = scipy.sparse.coo_array(scipy.sparse.triu(ops.stiffness, 1))
                 edges = upper.row, upper.col
-            level = weighted.level_of_set(ops.coordinates, inside, edges, ops.shape.intrinsic_dimension)
+            level = weighted.level_of_set(ops.coordinates, inside, other, edges, ops.shape.intrinsic_dimension)
         found.append(level)
     coarse = weighted.elements(ops, u, exact, (found[0], found[1]))
     _reached(coarse, *members)

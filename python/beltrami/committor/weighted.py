@@ -32,6 +32,7 @@ DOUBT = 2.0  # so far, in units of kT, what both ends of an edge say of U at its
 LAST = 0.05  # over which part of the squared distance the weight of neighbours falls to 0 in the end
 CHUNK = 16384  # points fitted at a time: a bound on memory
 SHORTEST = 1e-9  # least share of an edge that is left by the cut at the rim of A or B: of nodes on it rounding decides whether they belong
+CLOSEST = 0.05  # the same of edges from A to B, whose rims may touch: there the rate would have no end
 ON_RIM = 0.05  # points of a set count as lying on its rim if they are this straight, in units of the spacing
 
 
@@ -401,9 +402,9 @@ def mend(mesh: Elements, only: Mask | None = None) -> Elements:
 # --- the rims of A and B -----------------------------------------------------------------------------------------------------------
 
 
-def level_of_set(points: Floats, inside: Mask, mesh_edges: tuple[Any, Any], dimension: int) -> Floats:
+def level_of_set(points: Floats, inside: Mask, other: Mask, mesh_edges: tuple[Any, Any], dimension: int) -> Floats:
     """A level function of a set known by its members: half the distance to the set less that to the rest; 0 inside where the members
-    lie on the set's rim, or are single points."""
+    lie on the set's rim, are single points, or are next to members of the ``other`` set, which rims half-way between would touch."""
     outward = nearest_neighbors(points[inside], points, 1)[1][:, 0]
     if not inside.all():
         inward = nearest_neighbors(points[~inside], points, 1)[1][:, 0]
@@ -411,7 +412,8 @@ def level_of_set(points: Floats, inside: Mask, mesh_edges: tuple[Any, Any], dime
         return -outward
     i, j = mesh_edges
     alone = not (inside[i] & inside[j]).any()
-    if alone or _on_rim(points, inside, mesh_edges, dimension):
+    touching = ((inside[i] & other[j]) | (other[i] & inside[j])).any()
+    if alone or touching or _on_rim(points, inside, mesh_edges, dimension):
         return outward
     return (outward - inward) / 2
 
@@ -435,6 +437,8 @@ def _on_rim(points: Floats, inside: Mask, edges: tuple[Any, Any], dimension: int
 def cut(mesh: Elements, sets: tuple[Mask, Mask]) -> Floats:
     """Share of each edge that lies outside A and B: where it crosses a rim, a level function that is linear along it says how much."""
     share = np.ones(len(mesh.first))
+    a, b = sets
+    across = (a[mesh.first] & b[mesh.second]) | (b[mesh.first] & a[mesh.second])
     for level, members in zip(mesh.levels, sets, strict=True):
         one, other = members[mesh.first], members[mesh.second]
         crossing = one != other
@@ -443,7 +447,7 @@ def cut(mesh: Elements, sets: tuple[Mask, Mask]) -> Floats:
         ahead, behind = np.maximum(level[outer], 0), np.maximum(-level[inner], 0)
         total = ahead + behind
         share[crossing] -= np.where(total > 0, behind / np.where(total > 0, total, 1.0), 0.0)
-    return np.maximum(share, SHORTEST)
+    return np.maximum(share, np.where(across, CLOSEST, SHORTEST))
 
 
 def laplacian(count: int, first: Longs, second: Longs, weights: Floats) -> scipy.sparse.csr_array:
