@@ -666,4 +666,6 @@ def test_sets_that_touch():
     r = bt.committor(bt.PointCloud(x), np.zeros(len(x)), left, ~left, beta=1.0)
     assert 1 < r.rate < 100  # some 1 / spacing, length 1 and area 2
     assert "transition" in r.verdict
+    assert not np.isnan(r.free_energy().free_energy).any()
+    r = bt.committor(bt.PointCloud(x), np.zeros(len(x)), left, ~left, beta=1.0, refine=0)
     assert np.isposinf(r.free_energy().free_energy).all()
