@@ -630,7 +630,7 @@ def to_pyvista(shape: TriangleMesh | PointCloud) -> Any:
     try:
         import pyvista
     except ImportError:
-        raise DependencyError("to_pyvista needs the package pyvista: pip install pyvista") from None
+        raise DependencyError("pyvista is missing; pip install 'beltrami[pyvista]'") from None
     vertices, faces, fields = _parts(shape)
     cells = np.column_stack([np.full(len(faces), 3, np.int32), faces]).ravel()
     result = pyvista.PolyData(_in_space(vertices), cells) if len(faces) else pyvista.PolyData(_in_space(vertices))

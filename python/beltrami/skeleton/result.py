@@ -134,7 +134,7 @@ class SkeletonResult:
         try:
             import networkx
         except ImportError:
-            raise DependencyError("to_networkx needs the package networkx: pip install networkx") from None
+            raise DependencyError("networkx is missing; pip install 'beltrami[networkx]'") from None
         graph = networkx.Graph()
         for node, (x, radius, piece) in enumerate(zip(self.nodes, self.radii, self.components, strict=True)):
             graph.add_node(node, position=tuple(x.tolist()), radius=float(radius), component=int(piece))
