@@ -5,23 +5,21 @@ Everything is painted by the compiled core (perspective, depth, soft light, a co
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from .. import _core, arrays
+from .. import arrays
 from ..errors import InputError
-from ..progress import Progress, part, reporter
+from ..progress import Progress, reporter
 from . import colors, page
-from .canvas import Canvas, draw_bar, draw_legend, fitted, legend_width
-from .fields import MISSING, PLAIN, Field, Levels, field_of, ramp_of, tick_texts, ticks_of
+from .fields import PLAIN, Field, Levels, field_of
+from .panels import Drawing, paint
 from .picture import Page, Picture, write_bytes
-from .scene import Axis, Geometry, View, camera_of, each_colour, geometry_of, marks_of, named_views, polylines_of, touching_radius
+from .scene import Axis, Geometry, View, camera_of, each_colour, geometry_of, marks_of, named_views, polylines_of, radius_of
 
 __all__ = ["Page", "Picture", "plot"]
 
@@ -155,197 +153,44 @@ def plot(
     cameras = [camera_of(view, up, geometry.flat) for _, view in (chosen[:1] if geometry.flat else chosen)]
     cameras = [(axes, given or name) for (given, _), (axes, name) in zip(chosen, cameras, strict=False)]
     polylines, marks = polylines_of(lines, geometry), marks_of(points, geometry)
-    line_colours = each_colour(line_color, len(polylines), (0.82, 0.16, 0.20), "line_color")
-    mark_colours = each_colour(point_color, len(marks), (0.89, 0.34, 0.18), "point_color")
+    drawing = Drawing(
+        geometry,
+        fields,
+        cameras,
+        colormap,
+        limits,
+        marks,
+        each_colour(point_color, len(marks), (0.89, 0.34, 0.18), "point_color"),
+        arrays.number(point_size, "point_size", above=0),
+        polylines,
+        each_colour(line_color, len(polylines), (0.82, 0.16, 0.20), "line_color"),
+        arrays.number(line_width, "line_width", above=0),
+        radius_of(radius, geometry),
+        transparency,
+        bool(edges),
+        bool(smooth),
+        bool(shading) and not geometry.flat,
+    )
     said = description or _describe(geometry, fields, [name for _, name in cameras], title)
     report = reporter(progress, "painting")
     if path is not None and Path(path).suffix.lower() != ".png":
-        html = page.build(
-            geometry.vertices,
-            geometry.faces,
-            geometry.normals,
-            [page.field_data(f, *_ramp_and_ticks(f, colormap, limits)) for f in fields],
-            title=title or "",
-            description=said,
-            marks=marks,
-            mark_colours=mark_colours,
-            lines=polylines,
-            radius=0.0 if len(geometry.faces) else touching_radius(geometry) if radius is None else radius,
-            axes=cameras[0][0],
-            up=[float(axis == up) for axis in "xyz"],
-            flat=geometry.flat,
-            lit=bool(shading) and not geometry.flat,
-            note=geometry.note,
-            plain=colors.color(color) if color is not None else PLAIN,
-            missing=MISSING,
-            markSize=arrays.number(point_size, "point_size", above=0) * 0.75,
-            lineWidth=arrays.number(line_width, "line_width", above=0),
-            lineColours=line_colours,
-            transparency=transparency,
-            edges=bool(edges),
-            contours=any(len(f.levels) for f in fields),
-            colourBar=bool(color_bar),
-        )
+        plain = colors.color(color) if color is not None else PLAIN
+        html = page.build(drawing, title=title or "", description=said, up=up, plain=plain, color_bar=bool(color_bar))
         if report is not None:
             report(1.0)
         return Page(html, said, write_bytes(path, html.encode()))
-    reach = np.concatenate([geometry.vertices, marks, *polylines])
-    centre = 0.5 * (reach.min(axis=0) + reach.max(axis=0))
-    largest = max(float(np.abs(reach - centre).max()), 1e-150)
-    extent = largest * max(float(np.linalg.norm((reach - centre) / largest, axis=1).max()), 1.0)  # squares of 1e300 would overflow
-    distance = math.inf if geometry.flat or not perspective else 4.2 * extent
-    ball = 0.0 if len(geometry.faces) else (touching_radius(geometry) if radius is None else arrays.number(radius, "radius", above=0))
-    behind = colors.color(background)
-    dark = 0.3 * behind[0] + 0.59 * behind[1] + 0.11 * behind[2] < 0.45
-    ink = (0.93, 0.94, 0.96) if dark else (0.12, 0.14, 0.19)
-    canvas = Canvas(np.empty((height, width, 3), np.uint8), ink)
-    canvas.pixels[:] = np.round(255 * np.array(behind)).astype(np.uint8)
-
-    # Room for words: the unit is the size of ordinary text.
-    size_ = max(min(9.0, 0.06 * min(width, height)), 0.0205 * math.sqrt(width * height))
-    pad = 0.9 * size_
-    top, bottom, left, right = pad, pad, pad, pad
-    if title:
-        canvas.text(fitted(title, 1.35 * size_, width - 2 * pad), pad + 0.2 * size_, pad + 1.3 * size_, 1.35 * size_, bold=True)
-        top += 2.3 * size_
-    missing = max(f.missing for f in fields)
-    total = max(fields, key=lambda f: f.missing)
-    total_count = len(geometry.faces) if total.kind == "faces" else geometry.count
-    notes = [geometry.note, f"grey: no data at {missing:,} of {total_count:,}" if missing else ""]
-    note = " · ".join(n for n in notes if n)
-    if note:
-        canvas.text(fitted(note, 0.78 * size_, width - 2 * pad), pad + 0.2 * size_, height - pad, 0.78 * size_, strength=0.75)
-        bottom += 1.5 * size_
-    panels = [(f, axes, name) for f in fields for axes, name in cameras]
-    alone = len(fields) == 1 or (limits is not None and all(f.bar and f.kind == "scalars" for f in fields))
-    first = fields[0]
-    bar_room = legend_width(first, size_, width) if color_bar and alone else 0.0
-    inside = (width - left - right - bar_room, height - top - bottom)
-    several = len(panels) > 1
-    own_bar = color_bar and not alone
-    named = several and (len(fields) > 1 or any(name for _, _, name in panels))
-    under = (1.7 * size_ if named else 0.0) + (2.4 * size_ if own_bar else 0.0)
-
-    # Projected extents at one pixel a unit; one scale for all panels, so that views compare.
-    boxes = []
-    for axes, _ in cameras:
-        q = (reach - centre) @ np.array(axes).T
-        if math.isfinite(distance):
-            q = q / (1 - q[:, 2:] / distance)
-        boxes.append((q[:, :2].min(axis=0) - ball, q[:, :2].max(axis=0) + ball))
-    sizes = [np.maximum(high - low, 1e-3 * extent) for low, high in boxes] * len(fields)
-    gap = (1.2 * size_, 0.8 * size_)
-    scale, columns, shares = _arranged(sizes, inside, gap, under)
-    if scale <= 0 or not math.isfinite(scale):
-        raise InputError(f"size {width} x {height} leaves no room for {len(panels)} panels; make it larger")
-    rows = math.ceil(len(panels) / columns)
-    lowest = 0.5 * scale * max(float(box[1]) for box in sizes)
-    for at, (shown, axes, view_name) in enumerate(panels):
-        row = at // columns
-        before = float(shares[row * columns : at].sum())
-        x0, x1 = (round(left + inside[0] * share) for share in (before, before + float(shares[at])))
-        y0, y1 = (round(top + inside[1] * r / rows) for r in (row, row + 1))
-        y1 -= round(under)
-        low, high = boxes[at % len(cameras)]
-        middle = [0.5 * (x1 - x0) - 0.5 * scale * float(low[0] + high[0]), 0.5 * (y1 - y0) + 0.5 * scale * float(low[1] + high[1])]
-        camera = {"axes": axes, "centre": centre.tolist(), "middle": middle, "scale": scale, "distance": distance}
-        frame = {
-            "width": max(x1 - x0, 1),
-            "height": max(y1 - y0, 1),
-            "samples": arrays.whole(samples, "samples", 1, 8),
-            "background": behind,
-            "lit": bool(shading) and not geometry.flat,
-            "hollows": 0.16 * extent,
-        }
-        surface = None
-        balls = []
-        if len(geometry.faces):
-            surface = {
-                "vertices": geometry.vertices,
-                "faces": geometry.faces,
-                "kind": shown.kind,
-                "scalars": shown.scalars,
-                "span": shown.span,
-                "labels": shown.labels,
-                "colours": shown.colours,
-                "missing": MISSING,
-                "levels": shown.levels,
-                "level_colour": (0.07, 0.07, 0.10, 0.72),
-                "level_width": max(1.2, 0.075 * size_),
-                "edge_colour": (0.10, 0.12, 0.18, 0.55),
-                "edge_width": 1.0 if edges else 0.0,
-                "transparency": transparency,
-                "smooth": bool(smooth),
-            }
-        else:
-            rgba = shown.each(geometry.count).copy()
-            rgba[:, 3] *= 1 - transparency
-            balls.append((geometry.vertices, np.full(geometry.count, ball), rgba, geometry.normals))
-        if len(marks):
-            rgba = np.ones((len(marks), 4), np.float32)
-            rgba[:, :3] = mark_colours
-            half = 0.5 * arrays.number(point_size, "point_size", above=0) / scale
-            balls.append((marks, np.full(len(marks), half), rgba, np.zeros((0, 3))))
-        ropes = None
-        if polylines:
-            starts = np.concatenate([[0], np.cumsum([len(line) for line in polylines])]).tolist()
-            thick = [arrays.number(line_width, "line_width", above=0)] * len(polylines)
-            ropes = (np.ascontiguousarray(np.concatenate(polylines)), starts, thick, [(*c, 1.0) for c in line_colours])
-        painted = _core.paint(frame, camera, surface, balls, ropes, part(report, at / len(panels), (at + 1) / len(panels)))
-        canvas.pixels[y0:y1, x0:x1] = painted[: y1 - y0, : x1 - x0]
-        if several:
-            names = [shown.name if len(fields) > 1 else "", view_name if len(cameras) > 1 else ""]
-            words = fitted(" · ".join(n for n in names if n), 0.9 * size_, x1 - x0 - size_)
-            foot = min(float(y1), 0.5 * (y0 + y1) + lowest + 0.5 * size_)
-            canvas.text(words, 0.5 * (x0 + x1), foot + 1.1 * size_, 0.9 * size_, align="middle", strength=0.85)
-        if own_bar and shown.bar:
-            long = min(0.6 * (x1 - x0), 14 * size_)
-            draw_bar(canvas, shown, 0.5 * (x0 + x1 - long), y1 + 1.75 * size_, long, 0.45 * size_, 0.72 * size_, False)
-    if bar_room:
-        x = width - right - bar_room + 0.8 * size_
-        if first.bar:
-            table = first if first.kind == "scalars" else ramp_of(first, colormap, limits)
-            tall = min(inside[1] * 0.72, 22 * size_)
-            y = top + 0.5 * (inside[1] - tall)
-            draw_bar(canvas, table, x, y, 0.8 * size_, tall, 0.85 * size_, True)
-            if first.name and len(fields) == 1:
-                canvas.text(fitted(first.name, 0.9 * size_, 0.25 * width), width - right, y - 1.1 * size_, 0.9 * size_, align="right")
-        else:
-            draw_legend(canvas, first, x, top, inside[1], size_, 0.24 * width)
-    picture = Picture(canvas.done(), said)
-    return picture if path is None else Picture(picture.pixels, said, picture.save(path))
-
-
-def _arranged(
-    sizes: list[npt.NDArray[np.float64]], inside: tuple[float, float], gap: tuple[float, float], under: float
-) -> tuple[float, int, npt.NDArray[np.float64]]:
-    """Pixels a unit, as many as panels of these sizes leave room for; how many panels stand in a row; the share of the row of each."""
-    count = len(sizes)
-    scale, columns = 0.0, 1
-    for some in range(1, count + 1):
-        room = inside[0] / some - gap[0], inside[1] / math.ceil(count / some) - under - gap[1]
-        fit = min(min(room[0] / float(box[0]), room[1] / float(box[1])) for box in sizes)
-        if fit > scale * 1.0001:
-            scale, columns = fit, some
-    # In a single row narrow views leave their room to wide ones.
-    widths = np.array([float(box[0]) for box in sizes])
-    in_a_row = min((inside[0] - count * gap[0]) / widths.sum(), (inside[1] - under - gap[1]) / max(float(box[1]) for box in sizes))
-    if in_a_row > scale:
-        return in_a_row, count, (widths * in_a_row + gap[0]) / (widths * in_a_row + gap[0]).sum()
-    return scale, columns, np.full(count, 1 / columns)
-
-
-def _ramp_and_ticks(
-    shown: Field, colormap: Any, limits: tuple[float, float] | None
-) -> tuple[npt.NDArray[Any] | None, list[tuple[float, str]]]:
-    """The colours of a page's colour bar, and its ticks by their shares of it; none where no numbers belong to the colours."""
-    if not shown.bar:
-        return None, []
-    table = shown if shown.kind == "scalars" else ramp_of(shown, colormap, limits)
-    low, high = shown.span
-    ticks = ticks_of(low, high)
-    places = [float((tick - low) / (high - low)) if high > low else 0.5 for tick in ticks]
-    return table.colours[:, :3], list(zip(places, tick_texts(ticks), strict=True))
+    pixels = paint(
+        drawing,
+        size=(width, height),
+        title=title,
+        background=background,
+        samples=arrays.whole(samples, "samples", 1, 8),
+        perspective=perspective,
+        color_bar=color_bar,
+        report=report,
+    )
+    picture = Picture(pixels, said)
+    return picture if path is None else Picture(pixels, said, picture.save(path))
 
 
 def _describe(geometry: Geometry, fields: list[Field], views: list[str], title: str | None) -> str:

@@ -183,7 +183,14 @@ def each_colour(given: Any, count: int, default: tuple[float, float, float], nam
     return [colors.color(c) for c in given]
 
 
-def touching_radius(geometry: Geometry) -> float:
+def radius_of(radius: float | None, geometry: Geometry) -> float:
+    """The radius at which the points of a cloud are drawn; 0 for a surface."""
+    if len(geometry.faces):
+        return 0.0
+    return _touching_radius(geometry) if radius is None else arrays.number(radius, "radius", above=0)
+
+
+def _touching_radius(geometry: Geometry) -> float:
     """Radius at which the points of a cloud cover what they lie on: from the distances of neighbours."""
     from scipy.spatial import cKDTree
 
