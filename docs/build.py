@@ -59,6 +59,7 @@ def title_of(text: str, stem: str) -> str:
 def pages(folder: Path = HERE) -> Groups:
     """Groups of (stem, title), of all Markdown files that are there."""
     there = {path.stem: title_of(path.read_text(encoding="utf-8"), path.stem) for path in sorted(folder.glob("*.md"))}
+    there["index"] = "Overview"
     named = {stem for _, stems in ORDER for stem in stems}
     groups = {}
     for group, stems in ORDER:
@@ -92,7 +93,8 @@ def framed(title: str, body: str, here: str, groups: Groups) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<title>{html.escape(title)} · beltrami</title><link rel="stylesheet" href="style.css"></head>\n<body><div class="page">'
-        f'<nav aria-label="Pages">{"".join(side)}</nav>\n<main>{body}<footer>beltrami {bt.__version__}, MIT OR Apache-2.0.</footer></main>'
+        f'<nav id="pages" aria-label="Pages">{"".join(side)}</nav>\n<main><a class="menu" href="#pages">All pages</a>{body}'
+        f"<footer>beltrami {bt.__version__}, MIT OR Apache-2.0.</footer></main>"
         "</div></body></html>\n"
     )
 

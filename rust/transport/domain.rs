@@ -134,11 +134,6 @@ impl Domain {
         &self.labels
     }
 
-    /// Numbers kept in one factor.
-    pub fn factor_size(&self) -> usize {
-        self.symbolic.nnz()
-    }
-
     /// Slices in a table of nodes.
     pub(super) fn slices(&self, nodal: usize) -> Result<usize> {
         match nodal.checked_div(self.nodes()) {

@@ -36,11 +36,6 @@ impl TransportDomain {
         vector_out(py, self.domain.labels().to_vec())
     }
 
-    /// Numbers kept in one factor.
-    fn factor_size(&self) -> usize {
-        self.domain.factor_size()
-    }
-
     /// What elements give to their corners, into `mean` and `flux`.
     fn gather(
         &self,
