@@ -642,13 +642,15 @@ class Splitting:
 
 class Gradient:
     """The chapter's Algorithm 2: a gradient step and the projection on the continuity equation, accelerated (FISTA), with backtracking
-    that also lengthens the step and a restart whenever the acceleration points uphill. For densities bounded away from zero."""
+    that also lengthens the step and a restart whenever the acceleration points uphill. For densities bounded away from zero: below a
+    floor moving costs no more than there, and a spring on each vertex pulls back, without which densities would go below any bound."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
         ends = [model.start] if model.end is None else [model.start, model.end]
         least = min(float(end[model.mass > 0].min()) for end in ends)
-        self.floor = max((0.5 if model.end is not None else 0.1) * least, 1e-3 * model.problem.mass / model.density)
+        self.floor = max((0.15 if model.end is not None else 0.1) * least, 1e-3 * model.problem.mass / model.density)
+        self.stiffness = 1 / self.floor
         self.density = model.line()
         self.momentum = model.corrected(self.density, model.momentum())
         self.behind = (self.density, self.momentum)
@@ -659,6 +661,8 @@ class Gradient:
         rho = np.maximum(model.densities(density), self.floor)
         square = model.squares(momentum)
         moving = float(((square ** (q / 2) * rho ** (1 - q)) @ (model.surface.areas * model.weights)).sum()) / (q * model.n)
+        short = np.maximum(self.floor - density[1:], 0.0)
+        moving += 0.5 * self.stiffness * float((np.square(short) @ model.mass).sum()) / model.n
         return moving + sum(share * float(self.extended(cost, density[k : k + 1])[0][0] @ model.mass) for cost, k, share in self.costs())
 
     def costs(self) -> list[tuple[Cost, int, float]]:
@@ -690,6 +694,9 @@ class Gradient:
         by_density = np.where(rho > self.floor, model.weights * (1 - q) / q * square ** (q / 2) * floored ** (-q), 0.0)
         by_momentum = momentum * np.repeat(factor, model.surface.dimension, axis=1)
         out = model.at_nodes(model.gather(by_density, momentum, momentum, np.zeros(model.elements))[0])
+        short = np.where(model.mass > 0, np.maximum(self.floor - density, 0.0), 0.0)
+        short[-1] /= 1.0 if model.end is not None else model.end_weight
+        out -= self.stiffness * short
         for cost, k, _ in self.costs():
             out[k] += self.extended(cost, density[k : k + 1])[1][0] / (model.end_weight if k == model.n else 1.0)
         out[0] = 0
