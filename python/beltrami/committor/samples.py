@@ -160,7 +160,7 @@ def sampled(ops: Operators, potential: Any, sampling: str | None, weights: Any, 
         if potential is not None or weights is not None:
             raise InputError("sampling='gibbs' takes the potential from the samples' density; leave out potential and weights")
         taken = beta if sample_beta is None else arrays.number(sample_beta, "sample_beta", above=0.0)
-        return -np.log(sample_density(ops)) / taken, f"the samples' density is taken for exp(-{taken:g} U)"
+        return -np.log(sample_density(ops)) / taken, f"the density of the samples is assumed to be exp(-{taken:g} U)"
     if sampling == "weighted":
         if potential is not None or sample_beta is not None:
             raise InputError(
@@ -169,7 +169,7 @@ def sampled(ops: Operators, potential: Any, sampling: str | None, weights: Any, 
         given = weights if weights is not None else ops.shape.weights
         if given is None:
             raise InputError("sampling='weighted' needs weights= (or a cloud with weights)")
-        text = "the weighted samples' density is taken for exp(-beta U)"
+        text = "the density of the weighted samples is assumed to be exp(-beta U)"
     else:
         if potential is None or callable(potential) or sample_beta is None:
             raise InputError("sampling='mixed' needs the energy of each sample as potential, and its inverse temperature as sample_beta")

@@ -121,7 +121,7 @@ class Sheet:
         if interactive:
             view.plot(shape, values, path=self._folder / f"{stem}.html", **options)
             self.files.append(self._folder / f"{stem}.html")
-            link = f' <a class="open" href="{stem}.html">Turn it yourself</a>'
+            link = f' <a class="open" href="{stem}.html">Interactive page</a>'
         self._parts.append(f"<figure>{image}<figcaption>{_inline(caption)}{link}</figcaption></figure>")
 
     def page(self, page: view.Page, caption: str) -> None:

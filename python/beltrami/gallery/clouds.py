@@ -13,9 +13,9 @@ from . import Sheet, section
 @section("Point clouds")
 def clouds(sheet: Sheet) -> None:
     sheet.text(
-        "The triangles of surfaces are thrown away and their points kept. Each point finds its own Delaunay star in its tangent plane; "
-        "stiffness and mass come from the triangles that these stars vote for. A star is certified when no point that could change it "
-        "was left out. The mesh serves as judge only: its eigenvalues and distances were never seen by the cloud."
+        "Only the points of the surfaces are kept, without their triangles. Each point finds its Delaunay star in its tangent plane; "
+        "stiffness and mass come from the triangles that these stars vote for. A star is certified if no point that could change it "
+        "was left out. The mesh is only used to measure errors: the cloud never saw its eigenvalues and distances."
     )
     mesh = bt.examples.spot()
     cloud = bt.PointCloud(mesh.vertices)
@@ -61,7 +61,7 @@ def clouds(sheet: Sheet) -> None:
     sheet.table(
         ("points of", "count", "triangles with all votes", "area against the mesh", "eigenvalues against the mesh"),
         compared,
-        "The walls of the cortex's folds are as near to each other as its points: there a cloud alone cannot know the surface.",
+        "The walls of the folds of the cortex are as close to each other as its points: points alone do not determine the surface there.",
     )
     rng = np.random.default_rng(0)
     rows: list[tuple[object, ...]] = []

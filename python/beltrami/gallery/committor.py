@@ -58,7 +58,7 @@ def torus(sheet: Sheet) -> None:
         "The committor q is the probability of reaching a set B before a set A for dX = -grad U dt + sqrt(2/β) dW (section 8.4). It is "
         "solved for on points alone, of any density: here uniform ones, samples of a hotter and of the same temperature on one torus. "
         "The local mesh carries the area, so no density of samples is estimated, and the rates agree. Each comes with a second "
-        "estimate that does not share its discretization, the flux through the surfaces q = 0.1 to 0.9."
+        "estimate with another discretization, the flux through the surfaces q = 0.1 to 0.9."
     )
     a_place, b_place = (on_torus(np.array(WELLS[k][1]), np.array(WELLS[k][2])) for k in (0, 2))
     rows, shown = [], None
@@ -208,6 +208,6 @@ def dipeptide(sheet: Sheet) -> None:
         line_width=1.5,
         radius=0.022,
         title="Alanine dipeptide: committor and free energy over φ (to the right) and ψ (upwards)",
-        caption="A point a frame; both angles run from -π to π, with lines at -π, -π/2, 0, π/2, π. Opposite sides are one.",
+        caption="One point per frame; both angles run from -π to π, with lines at -π, -π/2, 0, π/2, π. Opposite sides are the same.",
         size=(1600, 900),
     )

@@ -67,7 +67,7 @@ def known(sheet: Sheet) -> None:
         limits=(float(exact.min()), float(exact.max())),
         views=["right"],
         title="Spot inverted in a point: the factor",
-        caption="What is near the point has grown. Left: found from four landmarks; right: the closed form.",
+        caption="Parts near the point have grown. Left: found from four landmarks; right: the closed form.",
         size=(1600, 760),
         interactive=True,
     )
@@ -78,7 +78,7 @@ def known(sheet: Sheet) -> None:
         {"height": np.concatenate([height, r.push_forward(height)])},
         contours=lines,
         views=["right"],
-        title="A function on Spot, and brought over by the map",
+        title="A function on Spot, and transferred by the map",
         caption="Left: height above ground. Right: the same on the image, which lies on its back.",
         size=(1600, 760),
     )
@@ -88,9 +88,9 @@ def known(sheet: Sheet) -> None:
 def cortex(sheet: Sheet) -> None:
     pial, sphere = bt.examples.cortex("pial"), bt.examples.cortex("sphere")
     sheet.text(
-        "FreeSurfer's sphere of a cortex is no conformal image of it: it evens out areas. Five landmarks are given, and with "
-        "`start='spherical'` near-isometric matching is not tried. What the conformal start leaves open, the map's stretching along "
-        "protrusions and its refinement in the metric of its own factor close."
+        "FreeSurfer's sphere of a cortex is not a conformal image of it: areas are evened out. Five landmarks are given, and with "
+        "`start='spherical'` near-isometric matching is not tried. The errors of the conformal start are reduced by stretching the map "
+        "along protrusions and refining it in the metric of its own factor."
     )
     r, row = _match("pial cortex to FreeSurfer's sphere", pial, sphere, 5, start="spherical")
     sheet.table(HEADER, [row], "Truth: the vertex of the same number; straight distances")
@@ -117,7 +117,7 @@ def cortex(sheet: Sheet) -> None:
         colormap="balance",
         limits=(-span, span),
         title="Sulcal depth of the cortex on the sphere",
-        caption="Left: brought over by the map found from five landmarks. Right: the truth.",
+        caption="Left: transferred by the map found from five landmarks. Right: the truth.",
         size=(1600, 760),
     )
 
@@ -163,7 +163,7 @@ def apes(sheet: Sheet) -> None:
         up="z",
         views="front",
         contours=12,
-        title="A function on the gorilla, and brought over to the man",
+        title="A function on the gorilla, and transferred to the man",
         caption="The height of the gorilla's points, on the gorilla and, by the map, on the man: shoulders on shoulders, knees on knees.",
         size=(1600, 760),
     )
@@ -185,7 +185,7 @@ def apes(sheet: Sheet) -> None:
 @section("A factor for a spectrum")
 def spectra(sheet: Sheet) -> None:
     sheet.text(
-        "The other direction of the same idea: a conformal factor with which a shape has given eigenvalues. Here a sphere gets the first "
+        "The inverse problem: a conformal factor that gives a shape prescribed eigenvalues. Here a sphere gets the first "
         "twelve of an ellipsoid. It is one factor of many, for a spectrum does not say where things are."
     )
     sphere = bt.shapes.sphere(4)

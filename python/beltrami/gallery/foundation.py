@@ -12,7 +12,7 @@ from . import Sheet, section
 @section("Shapes and their topology")
 def shapes(sheet: Sheet) -> None:
     sheet.text(
-        "A surface comes in from a file, with its vertices in the file's order and none merged, and is examined: components, boundary "
+        "A surface is loaded with its vertices in the order of the file, none of them merged, and examined: components, boundary "
         "loops, Euler characteristic, genus, whether it is a manifold and oriented. Nothing is assumed; methods that need more say so."
     )
     cortex = bt.examples.cortex()

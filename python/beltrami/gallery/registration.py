@@ -34,7 +34,7 @@ def shuffled(mesh: bt.TriangleMesh, seed: int) -> tuple[bt.TriangleMesh, np.ndar
 @section("Matching shapes that differ by a bending")
 def matching(sheet: Sheet) -> None:
     sheet.text(
-        "Surfaces that differ by a bending have the same eigenfunctions up to signs and rotations. `bt.register` finds these from triple "
+        "Surfaces that differ by bending have the same eigenfunctions up to signs and rotations. `bt.register` finds these from triple "
         "products, which also tell left from right, refines the best candidates in both directions, and lets the energy of the deformation "
         "decide. No landmark is given; the vertices of the second shape are renumbered."
     )
@@ -61,7 +61,7 @@ def matching(sheet: Sheet) -> None:
     )
     for r, title in ((shown[0], "Spot and Spot bent"), (shown[2], "Spot and Spot twisted")):
         both, colours = r.side_by_side()
-        caption = "Points that were matched have the same colour; the colours are the target's places."
+        caption = "Matched points have the same colour; colours show positions on the target."
         sheet.picture(both, colours, views=["back"], title=title, caption=caption, size=(1600, 800), interactive=True)
 
 
@@ -69,7 +69,7 @@ def matching(sheet: Sheet) -> None:
 def collection(sheet: Sheet) -> None:
     sheet.text(
         "Distances between all pairs of a collection: rotation-invariant sliced Wasserstein between the eigenmaps. Bending, size and "
-        "numbering do not count, so that the same body in other poses is near itself. The work runs on any executor, a killed run goes on."
+        "numbering do not matter, so poses of the same body are close to each other. Any executor does the work; interrupted runs resume."
     )
     shapes, names, kinds = [], [], []
     for kind, shape in (("Spot", bt.examples.spot()), ("Bob", bt.examples.bob()), ("star", bt.shapes.star(resolution=8))):

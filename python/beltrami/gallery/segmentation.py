@@ -17,7 +17,7 @@ def cortex_regions(sheet: Sheet) -> None:
     sheet.text(
         "Convex Chan-Vese (section 8.1): regions of nearly constant value with short boundaries. The fidelity weighs the image against the "
         "length of the boundary, and a path over fidelities shows what it does: one sparse factor serves all of them. Each answer "
-        "carries a proof, a dual field whose value no function can go below; the relative gap says how far from the best it can be at most."
+        "comes with a proof, a dual field whose value bounds the energy from below; the relative gap bounds the distance from the optimum."
     )
     mesh = bt.examples.cortex("pial")
     depth = mesh.data["depth"] / np.ptp(mesh.data["depth"])

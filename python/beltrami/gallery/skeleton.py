@@ -16,8 +16,8 @@ from . import Sheet, section
 @section("Skeletons")
 def skeletons(sheet: Sheet) -> None:
     sheet.text(
-        "The first eigenfunction runs along a shape from end to end; the eccentricity, made of six, is greatest at the tips of all limbs "
-        "and taken where the first runs past some. The level sets, taken apart into connected pieces, are rings around limbs; "
+        "The first eigenfunction varies along a shape from end to end; the eccentricity, made of six, is largest at the tips of all limbs "
+        "and used if the first misses some. The connected components of the level sets are rings around limbs; "
         "`bt.skeleton` joins the middles of neighbouring rings, so that the graph branches and closes loops as the shape does. On a "
         "mesh it is the exact Reeb graph: as many loops as handles. From points alone, with noise, loops that the sampling makes "
         "are told from those of the shape."

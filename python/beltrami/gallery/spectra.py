@@ -71,9 +71,7 @@ def sphere_spectrum(sheet: Sheet) -> None:
             "slope of the error over three sizes (2 is right)": slope,
         }
     )
-    sheet.table(
-        ("degree l", "l (l + 1)", "copies there are", "copies found", "least", "greatest"), rows, "Eigenvalues of the finest sphere"
-    )
+    sheet.table(("degree l", "l (l + 1)", "multiplicity", "found", "smallest", "largest"), rows, "Eigenvalues of the finest sphere")
     sheet.code("bt.eigenpairs(bt.shapes.sphere(5), 49).values")
     ends = np.cumsum([2 * degree + 1 for degree in range(degrees)])
     sheet.picture(
@@ -89,7 +87,7 @@ def sphere_spectrum(sheet: Sheet) -> None:
 @section("Geodesic distance by the heat method")
 def geodesic(sheet: Sheet) -> None:
     sheet.text(
-        "Heat that diffuses for a short time knows the way home: follow its gradient, normalize it, and integrate (Crane, Weischedel, "
+        "Heat that has diffused for a short time points the way: take its gradient, normalize it, and integrate (Crane, Weischedel, "
         "Wardetzky 2013). Two sparse solves; a factor that is kept serves any number of sources."
     )
     sphere = bt.shapes.sphere(5)

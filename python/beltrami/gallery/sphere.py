@@ -18,7 +18,7 @@ def maps(sheet: Sheet) -> None:
     sheet.text(
         "Every closed surface without handles has a map to the sphere that keeps all angles. `bt.spherical_map` minimizes E - A, the "
         "Dirichlet energy less the area of the image, which is zero only where each triangle keeps its shape; it centres the "
-        "image by a Möbius map and sees to it that no triangle is turned over. The squares below are those of the sphere's Mercator "
+        "image by a Möbius transformation and repairs flipped triangles. The squares below are those of the sphere's Mercator "
         "projection, pulled back: right angles everywhere, though sizes differ by powers of ten."
     )
     cortex, spot = bt.examples.cortex("pial"), bt.examples.spot()
@@ -76,7 +76,7 @@ def maps(sheet: Sheet) -> None:
         up="z",
         limits=(0.0, 8.0),
         title="How much the angles of the triangles change",
-        caption="Mean over the three angles. What is left is that of the mesh: it falls with the square of the triangles' size.",
+        caption="Mean over the three angles. The remaining error is due to the mesh and decreases with the size of its triangles.",
         size=(1600, 760),
     )
     r = made["spot"]
@@ -86,7 +86,7 @@ def maps(sheet: Sheet) -> None:
         checkerboard(positions),
         views={"three-quarter": "three-quarter back", "front": "back", "left": "left"},
         title="Squares of the sphere on Spot",
-        caption="Horns, ears and legs are tiny on the sphere, and still nothing is turned over.",
+        caption="Horns, ears and legs are tiny on the sphere, and still no triangle is flipped.",
         description="Spot, a cow, under squares of two colours: a few large ones on her head and legs, many small ones on neck and rump",
         interactive=True,
         **squares,

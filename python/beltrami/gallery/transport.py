@@ -104,7 +104,7 @@ def moving_mass(sheet: Sheet) -> None:
 @section("Mean-field games: obstacles, crowds, averages")
 def crowds(sheet: Sheet) -> None:
     sheet.text(
-        "A crowd that pays for moving, for where it is and for where it ends. A wall that is a hundred times dearer to cross sends it "
+        "A crowd pays for moving, for its location and for its final density. A wall that costs a hundred times as much to cross sends it "
         "through the door; congestion spreads it out on the way. The gap is proved here too."
     )
     grid = bt.shapes.grid(51, 51)
@@ -137,7 +137,7 @@ def crowds(sheet: Sheet) -> None:
             shading=False,
             size=(1800, 480),
         )
-    sheet.table(("game", "moving", "crowding", "gap, proved", "iterations"), rows)
+    sheet.table(("game", "kinetic cost", "running cost", "gap, proved", "iterations"), rows)
     x, y = np.abs(grid.vertices[:, :2] - 0.5).T
     far, wide, high = np.hypot(x, y), np.maximum(x - 0.36, y - 0.08), np.maximum(x - 0.08, y - 0.36)
     outlines = np.abs(far - 0.3) - 0.05, np.minimum(wide, high)  # negative inside: a ring, a cross
