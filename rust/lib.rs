@@ -1,14 +1,14 @@
 //! Intrinsic computing on triangle meshes and point clouds.
 //!
-//! Data flows one way through the rooms of this crate, and so do imports:
+//! Data flows one way through the modules of this crate, and so do imports:
 //!
-//! | room | what is in it |
+//! | module | what it contains |
 //! |---|---|
 //! | [`io`] | order-preserving readers and writers: OBJ, PLY, STL, OFF, point lists, gzip of each |
 //! | [`shape`] | triangle meshes in R^D, topology, exact makers (spheres, tori, knots ...) |
 //! | [`near`] | neighbours, closest points, rays |
 //! | [`operators`] | stiffness, mass, gradient, divergence |
-//! | [`solvers`] | sparse Cholesky and eigenpairs; they know matrices, never meshes |
+//! | [`solvers`] | sparse Cholesky, multigrid and eigenpairs, of matrices without knowledge of meshes |
 //! | [`geodesic`] | distance by the heat method |
 //! | [`sphere`] | inner loops of conformal maps to the sphere |
 //! | [`sliced`] | sliced Wasserstein distances, also over rotations |
@@ -17,10 +17,10 @@
 //! | [`transport`] | space-time projection, perspective steps and bounds of dynamic optimal transport |
 //! | [`view`] | pictures without a display |
 //!
-//! Below them lie [`sparse`] (the one matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
+//! They are built on [`sparse`] (the matrix type), [`error`], [`control`] (progress and cancelling) and [`threads`].
 //!
-//! Every public function returns its failure as an [`Error`] that says what is wrong, where, and what to do; none
-//! panics on bad input, and no answer holds a NaN. The same input gives the same bits on any number of threads.
+//! Every public function reports failure as an [`Error`] that says what is wrong, where, and what to do about it. No
+//! function panics on bad input, and no result contains NaN. The same input gives the same bits on any number of threads.
 
 pub mod control;
 pub mod error;

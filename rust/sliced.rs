@@ -1,4 +1,4 @@
-//! Sliced Wasserstein distance between weighted points in R^n, and the rotation that lessens it.
+//! Sliced Wasserstein distance between weighted points in R^n, and the rotation that minimizes it.
 //!
 //! For a unit direction θ both measures are projected onto a line, where the optimal coupling is the monotone one: sort
 //! both, then go through the two cumulative masses together. The squared distance is the mean over the directions of

@@ -1,4 +1,4 @@
-"""The door of the command line: ``beltrami COMMAND FILE... [options] -o OUT``; the commands are in :mod:`beltrami.commands`."""
+"""The entry of the command line: ``beltrami COMMAND FILE... [options] -o OUT``; the commands are in :mod:`beltrami.commands`."""
 
 from __future__ import annotations
 

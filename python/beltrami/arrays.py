@@ -1,5 +1,5 @@
-"""The one gate for arrays that come in: any dtype, order, stride or byte order; out comes C order of the exact type, or an error
-that names the element. What is handed in is never changed, and never kept unless it cannot change any more."""
+"""The gate of every array from a user. It may have any dtype, order, stride or byte order, and leaves in C order with the exact type, or an
+error names the offending element. Inputs are never changed, and never kept unless nobody can change them any more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Costs of moving and of being somewhere: what a mean-field game is made of (8.18). ``bt.costs.kinetic``, ``bt.costs.quadratic``, ..."""
+"""Costs of mean-field games (8.18), of moving, of location and of congestion. ``bt.costs.kinetic``, ``bt.costs.quadratic``, ..."""
 
 from __future__ import annotations
 

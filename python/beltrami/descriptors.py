@@ -1,4 +1,4 @@
-"""What a shape's spectrum says about it and its points: the shape DNA, heat and wave kernel signatures."""
+"""Descriptors from the spectrum of a shape, for the shape and for its points: the shape DNA, heat and wave kernel signatures."""
 
 from __future__ import annotations
 

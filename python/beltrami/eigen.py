@@ -1,4 +1,4 @@
-"""Laplace-Beltrami eigenpairs: frequencies of a shape and the functions that vibrate with them."""
+"""Laplace-Beltrami eigenpairs: the frequencies of a shape and its modes of vibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can go wrong. Every error of the library is a :class:`Error`, and also the builtin that a person expects."""
+"""Errors. Every error of the library is an :class:`Error`, and also the built-in exception that one would expect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shapes to try things on: two that come with the package, and a cortex from nilearn's package data."""
+"""Example shapes: two that come with the package, and a cortex from the data of the nilearn package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Operators on intrinsic triangulations: for triangles too thin for cotangents, and for meshes that are no surfaces.
+"""Operators on intrinsic triangulations: for triangles too thin for cotangents, and for meshes that are not surfaces.
 
 The intrinsic Delaunay triangulation joins the vertices of a mesh by geodesic edges on the same surface, chosen so that all
 weights are of one sign; the tufted cover makes a surface of any mesh by taking each triangle twice.

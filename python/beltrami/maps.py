@@ -1,4 +1,4 @@
-"""Maps between shapes: point maps and functional maps, one from the other; what they carry over; how good they are."""
+"""Maps between shapes: conversion between point maps and functional maps, transfer of functions, evaluation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress of long work: what users hand in (nothing, True, a callable) becomes what the core calls."""
+"""Progress of long computations: what users pass (nothing, True or a callable) becomes what the core calls."""
 
 from __future__ import annotations
 

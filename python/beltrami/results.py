@@ -1,4 +1,4 @@
-"""What the results of all methods have in common: how they are saved."""
+"""What the results of all methods have in common: saving."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Shapes: triangle meshes and point clouds, and exact makers of well-known surfaces.
+"""Shapes: triangle meshes and point clouds, and functions that make well-known surfaces.
 
-A shape is frozen: its arrays are read-only copies of what was handed in, so that whatever is computed from it once stays true.
+A shape is immutable: its arrays are read-only copies of the inputs, so whatever was computed from it remains valid.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The simplices that functions on a shape are linear on, whatever its operators came from: what total variation and transport live on."""
+"""The simplices on which functions are linear, for any kind of operators: total variation and transport are defined on them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sliced Wasserstein distances between weighted point sets, and the rotation that makes them least (section 8.3.3, (8.30)-(8.32))."""
+"""Sliced Wasserstein distances between weighted point sets, and the rotation that minimizes them (section 8.3.3, (8.30)-(8.32))."""
 
 from __future__ import annotations
 

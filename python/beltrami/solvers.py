@@ -1,4 +1,4 @@
-"""Sparse Cholesky, factored once and solved with as often as you like; Poisson equations, also by multigrid."""
+"""Sparse Cholesky factorization, for any number of solves; Poisson equations, also by multigrid."""
 
 from __future__ import annotations
 

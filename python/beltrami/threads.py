@@ -1,4 +1,4 @@
-"""How many threads the compiled core uses; the answers are the same bits with any number of them."""
+"""The number of threads of the compiled core; results are bit-for-bit the same with any number."""
 
 from __future__ import annotations
 

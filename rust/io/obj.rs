@@ -1,4 +1,4 @@
-//! Wavefront OBJ: positions, faces, and what can be said a vertex of colours, texture coordinates and normals.
+//! Wavefront OBJ: positions, faces, and colours, texture coordinates and normals of the vertices.
 
 use super::source::{Parsed, Stop};
 use super::text::{CONTINUED, Text, number, shown, whole};

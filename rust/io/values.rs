@@ -1,4 +1,4 @@
-//! Columns of numbers of any type: what a file holds a vertex beside positions.
+//! Columns of numbers of any type: what a file holds for each vertex besides positions.
 
 use bytemuck::Pod;
 

@@ -1,4 +1,4 @@
-//! Piecewise-linear finite elements on an intrinsic triangulation: the operators of the cotangent room, from lengths alone.
+//! Piecewise-linear finite elements on an intrinsic triangulation: the operators of the module `cotangent`, from lengths alone.
 //!
 //! Vector fields have two coordinates per triangle, in the frame whose first axis runs from corner 0 to corner 1.
 

@@ -1,4 +1,4 @@
-//! Solvers: sparse Cholesky, multilevel iterations and eigenpairs. They know matrices, never meshes.
+//! Solvers: sparse Cholesky, multilevel iterations and eigenpairs. They work on matrices and know nothing of meshes.
 
 mod cholesky;
 mod conjugate;

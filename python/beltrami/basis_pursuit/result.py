@@ -1,4 +1,4 @@
-"""What a conformal registration is handed out as."""
+"""The result of a conformal registration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Eigenpairs under a conformal change of the metric (equation 8.33), and the change with which a shape has a given spectrum."""
+"""Eigenpairs under a conformal change of the metric (equation 8.33), and the change that gives a shape a prescribed spectrum."""
 
 from __future__ import annotations
 

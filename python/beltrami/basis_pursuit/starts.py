@@ -1,4 +1,4 @@
-"""Maps that the pursuit may start from: through the spheres, from landmarks, from features, near-isometric ones; and which is taken."""
+"""Maps that the pursuit may start from: through spheres, from landmarks or features, or near-isometric; and the choice between them."""
 
 from __future__ import annotations
 

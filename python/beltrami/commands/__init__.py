@@ -1,4 +1,4 @@
-"""The commands of the command line, ``beltrami COMMAND FILE... [options] -o OUT``: a module a room, and here what they share.
+"""The commands of the command line, ``beltrami COMMAND FILE... [options] -o OUT``: a module for each area, and here what they share.
 
 Each command prints a short table of what it found and certified, shows a bar while it works, and writes what ``-o`` names: arrays to
 ``.npz`` or ``.csv``, shapes with their values to ``.ply``, pictures to ``.png``, interactive pages to ``.html``. Exit codes: 0 done,

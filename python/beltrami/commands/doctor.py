@@ -1,4 +1,4 @@
-"""Whether the installation is sound."""
+"""A check of the installation."""
 
 from __future__ import annotations
 

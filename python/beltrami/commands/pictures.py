@@ -1,4 +1,4 @@
-"""Pictures of anything, and the gallery."""
+"""Pictures of shapes, and the gallery."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _gallery_options(parser: argparse.ArgumentParser) -> None:
 
 @command("gallery", "the main results on real shapes, as one page that opens from disk", _gallery_options)
 def gallery(options: Options) -> int:
-    from ..gallery import run, titles  # every method's room is loaded with it
+    from ..gallery import run, titles  # this loads every method
 
     if options.list:
         print("\n".join(titles()))

@@ -1,4 +1,4 @@
-"""Maps between shapes, and distances between all of a collection."""
+"""Maps between shapes, and distances within a collection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images on surfaces: regions, and less noise."""
+"""Segmentation and denoising of images on surfaces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a shape is, and shapes into other formats."""
+"""Information on shapes, and conversion between formats."""
 
 from __future__ import annotations
 

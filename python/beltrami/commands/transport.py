@@ -1,4 +1,4 @@
-"""Mass that moves over a surface: optimal transport and mean-field games."""
+"""Optimal transport and mean-field games."""
 
 from __future__ import annotations
 

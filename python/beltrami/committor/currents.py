@@ -1,4 +1,4 @@
-"""What follows from a committor: currents, the flux through its level sets, passage times, streamlines."""
+"""Quantities that follow from a committor: currents, the flux through its level sets, passage times, streamlines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a committor can be trusted."""
+"""Diagnostics: how far a committor can be trusted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a committor is handed out as."""
+"""The result of a committor computation."""
 
 from __future__ import annotations
 

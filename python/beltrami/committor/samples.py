@@ -1,4 +1,4 @@
-"""What samples say about the potential: their density, and weights that bring samples of several temperatures to one."""
+"""The potential as known from samples: their density, and weights that bring samples of several temperatures to one temperature."""
 
 from __future__ import annotations
 

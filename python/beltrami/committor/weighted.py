@@ -1,4 +1,4 @@
-"""Linear elements for ``∫ exp(-U) |grad u|²`` on a shape: what committors are solved with.
+"""Linear elements for ``∫ exp(-U) |grad u|²`` on a shape, with which committors are computed.
 
 U is known at the points and, as a quadratic along each edge, between them. An edge carries the harmonic mean of ``exp(-U)`` along it,
 which makes the flux through it exact wherever U varies along the edge only (Scharfetter and Gummel 1969).

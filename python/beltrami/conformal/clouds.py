@@ -1,4 +1,4 @@
-"""Maps of clouds: the simplices of their stars, then of the stars of their images; whether they are spheres at all."""
+"""Maps of clouds: with the simplices of their stars, then with those of the stars of their images; and the check of the genus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maps of meshes: what must hold of them, holes that are filled, the iteration, the repair."""
+"""Maps of meshes: their requirements, filled holes, the iteration, the repair."""
 
 from __future__ import annotations
 

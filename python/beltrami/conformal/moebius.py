@@ -1,4 +1,4 @@
-"""The group of Möbius maps of the unit sphere: its conformal maps onto itself that keep the orientation."""
+"""The group of Möbius maps of the unit sphere: its orientation-preserving conformal maps onto itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Repair of what is still turned over: patches of the map are freed and untangled."""
+"""Repair of flipped triangles: patches of the map are freed and untangled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a map to the sphere is handed out as, and what is measured on it."""
+"""The result of a map to the sphere, and what is measured on it."""
 
 from __future__ import annotations
 

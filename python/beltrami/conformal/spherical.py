@@ -1,4 +1,4 @@
-"""What one does with a map to the sphere: functions to and fro, longitude-latitude images, maps between surfaces, best rotations,
+"""Uses of a map to the sphere: transfer of functions, longitude-latitude images, maps between surfaces, best rotations,
 spherical harmonics."""
 
 from __future__ import annotations

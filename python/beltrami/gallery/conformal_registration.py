@@ -1,4 +1,4 @@
-"""Shapes that are far from isometric, matched."""
+"""Registration of shapes that are far from isometric."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shapes that differ by a bending, matched; distances over a collection."""
+"""Registration of nearly isometric shapes; distances within a collection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidates for the map: orthogonal matrices that make triple products of eigenfunctions agree, upsampled, and judged by energy."""
+"""Candidates for the map: orthogonal matrices that preserve triple products of eigenfunctions, upsampled and compared by energy."""
 
 from __future__ import annotations
 

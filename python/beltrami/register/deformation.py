@@ -1,4 +1,4 @@
-"""As-rigid-as-possible deformation of the source onto the target: what a candidate costs, and the polish of the map."""
+"""As-rigid-as-possible deformation of the source onto the target: the energy of a candidate, and the polishing of the map."""
 
 from __future__ import annotations
 

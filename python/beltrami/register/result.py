@@ -1,4 +1,4 @@
-"""What a registration is handed out as."""
+"""The result of a registration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a segmentation is handed out as."""
+"""The result of a segmentation."""
 
 from __future__ import annotations
 

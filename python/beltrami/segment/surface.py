@@ -1,4 +1,4 @@
-"""What segmentation and denoising stand on: a shape of unit area, the linear system of each sweep, the image at the gate."""
+"""What segmentation and denoising share: a shape of unit area, the linear system of each sweep, the check of the image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skeletons of meshes and point clouds: the Reeb graph of an eigenfunction or of what they make, drawn along the middle (section 8.3.2)."""
+"""Skeletons of meshes and point clouds: Reeb graphs of an eigenfunction or of the eccentricity, drawn along the middle (section 8.3.2)."""
 
 from __future__ import annotations
 

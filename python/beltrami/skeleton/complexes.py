@@ -1,4 +1,4 @@
-"""What skeletons cut: the edges or triangles of a shape; noise of clouds averaged out, near parts told apart by oriented normals."""
+"""The edges or triangles that level sets cut; averaging of noisy clouds; nearby parts told apart by oriented normals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which combination of eigenfunctions the levels are of, where the first is multiple, or nearly constant somewhere."""
+"""The choice of a combination of eigenfunctions if the first eigenvalue is multiple, or the first function nearly constant somewhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reeb graphs: contours at many levels, joined to branches; loops that a sampling makes, stubs, and what is left without them."""
+"""Reeb graphs: contours at many levels, joined to branches; removal of loops due to the sampling, and of stubs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a skeleton is handed out as."""
+"""The result of a skeleton computation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dynamic optimal transport over a surface, with a certificate (section 8.2), and barycenters by the same machinery."""
+"""Dynamic optimal transport over a surface, with a certificate (section 8.2), and barycenters by the same method."""
 
 from __future__ import annotations
 

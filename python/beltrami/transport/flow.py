@@ -1,4 +1,4 @@
-"""What transports and games share: densities and options at the gate, and the flow that is handed out."""
+"""What transport and games share: checks of densities and options, and the resulting flow."""
 
 from __future__ import annotations
 

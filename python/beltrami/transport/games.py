@@ -1,4 +1,4 @@
-"""Mean-field games over a surface (8.18): crowds that pay for moving, for where they are and for where they end, with a certificate."""
+"""Mean-field games over a surface (8.18): crowds with costs of moving, of location and of the final density, with a certificate."""
 
 from __future__ import annotations
 

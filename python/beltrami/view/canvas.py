@@ -1,4 +1,4 @@
-"""Words, lines and colour bars beside what is painted."""
+"""Words, lines, colour bars and legends around a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a shape is coloured by: numbers, labels or colours of its vertices or faces; the ticks and contour levels that go with them."""
+"""The fields that colour a shape: numbers, labels or colours of its vertices or faces; the ticks and contour levels that go with them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What painting hands out: a picture, or an interactive page."""
+"""The results of painting: a picture, or an interactive page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where everything is: the shape in space, the eye, lines and marks."""
+"""The scene: the shape in space, the cameras, lines and marks."""
 
 from __future__ import annotations
 
