@@ -85,7 +85,7 @@ def kinetic(weight: npt.ArrayLike = 1.0) -> Lagrangian:
     Parameters
     ----------
     weight : float or array_like (m,)
-        One per triangle makes obstacles: a wall is where it is 100.
+        One value per triangle makes obstacles: a value of 100 is a wall.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def power(exponent: float, weight: npt.ArrayLike = 1.0) -> Lagrangian:
     Parameters
     ----------
     exponent : float
-        q. Nearer to 1 speed costs less, so that mass moves in turn instead of all at once.
+        q. Closer to 1, high speed costs less, so that mass moves in turn instead of all at once.
     weight : float or array_like (m,)
 
     Returns
@@ -466,7 +466,7 @@ class _Congestion(Cost):
 
 
 def congestion(weight: float = 1.0, exponent: float = 2.0) -> Cost:
-    """``weight / exponent ∫ ρ^exponent``: crowds are dear.
+    """``weight / exponent ∫ ρ^exponent``: makes crowds expensive.
 
     Parameters
     ----------
@@ -512,7 +512,7 @@ class _Potential(Cost):
 
 
 def potential(values: npt.ArrayLike) -> Cost:
-    """``∫ V ρ``: some places are dearer than others.
+    """``∫ V ρ``: makes some places more expensive than others.
 
     Parameters
     ----------
@@ -555,7 +555,7 @@ def density_cap(limit: npt.ArrayLike) -> Cost:
     Parameters
     ----------
     limit : float or array_like (n,)
-        Not negative; as a table 0 where nobody may be.
+        Not negative; as an array, 0 where no mass may be.
 
     Returns
     -------
@@ -612,7 +612,7 @@ def custom(
     value, derivative : callable
         Of an array of densities (..., n), elementwise, not negative; the derivative must not decrease with the density.
     prox : callable, optional
-        ``prox(density, step)``: the p with the least ``step F(p) + (p - density)² / 2``. Found from the derivative otherwise.
+        ``prox(density, step)``: the p that minimizes ``step F(p) + (p - density)² / 2``; by default computed from the derivative.
 
     Returns
     -------

@@ -60,7 +60,7 @@ class Eigenpairs:
         Parameters
         ----------
         modes : int or sequence of int, optional
-            Which; the first six after the constant if left out.
+            Which modes; by default the first six after the constant one.
         path : path, optional
             ``.png`` or ``.html``.
 

@@ -33,13 +33,13 @@ def load(
     topology : path
         A structure (PDB, GRO, PSF, PRMTOP ...), or a file that holds the trajectory as well.
     trajectories : path or list of paths
-        DCD, XTC, TRR, NetCDF ...; several are put end to end. None: the frames of the topology.
+        DCD, XTC, TRR, NetCDF ...; several are concatenated. None: the frames of the topology.
     selection : str, optional
         In the reader's own language, such as ``"name N or name CA or name C"``; all atoms by default.
     stride : int
-        Every so many frames.
+        Take only every ``stride``-th frame.
     reader : {"auto", "MDAnalysis", "mdtraj"}
-        Which package reads; the first that is installed.
+        Which package reads the files; by default the first that is installed.
 
     Returns
     -------
@@ -114,7 +114,7 @@ def _mdtraj(topology: str, trajectories: list[str], selection: str | None, strid
 
 
 def align(positions: npt.ArrayLike, reference: npt.ArrayLike | None = None) -> Floats:
-    """Frames moved and turned onto a reference, each by the rotation of least squares (Kabsch).
+    """Superimpose frames on a reference, each by its least-squares rotation (Kabsch).
 
     Parameters
     ----------

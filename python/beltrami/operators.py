@@ -83,7 +83,7 @@ class Operators(ABC):
     def simplex_gradient(self) -> scipy.sparse.csr_array:
         """Gradient of piecewise-linear functions on the simplices: ``stiffness`` is its square, weighted by ``simplex_areas``.
 
-        For meshes this is ``gradient``. For clouds, where ``gradient`` lives at the points, it has D rows a simplex of the local mesh.
+        For meshes this is ``gradient``. For clouds, where ``gradient`` lives at the points, it has D rows per simplex of the local mesh.
         """
         return self.gradient
 

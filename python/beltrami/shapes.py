@@ -141,7 +141,7 @@ class TriangleMesh(_Shown):
 
     @property
     def coordinates(self) -> Floats:
-        """``vertices``, (n, D): what meshes, clouds and operators all call the places of their unknowns."""
+        """``vertices``, (n, D): the name under which meshes, clouds and operators all give the positions of their unknowns."""
         return self.vertices
 
     @property
@@ -248,7 +248,7 @@ class TriangleMesh(_Shown):
         return found.genus
 
     def report(self) -> MeshReport:
-        """What a person wants to know of a mesh before working with it; ``print(mesh.report())`` shows it.
+        """A summary of the mesh, for people; ``print(mesh.report())`` shows it.
 
         Examples
         --------
@@ -314,7 +314,7 @@ class TriangleMesh(_Shown):
         Parameters
         ----------
         vertices : array_like (n,) of bool, or of vertex numbers
-            Which to keep; ``numpy.flatnonzero(mask)`` are the old numbers of the new vertices.
+            Which vertices to keep; ``numpy.flatnonzero(mask)`` gives their old indices.
 
         Raises
         ------
@@ -489,7 +489,7 @@ class PointCloud(_Shown):
 
     @property
     def coordinates(self) -> Floats:
-        """``points``, (n, D): what meshes, clouds and operators all call the places of their unknowns."""
+        """``points``, (n, D): the name under which meshes, clouds and operators all give the positions of their unknowns."""
         return self.points
 
     @property

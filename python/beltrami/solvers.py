@@ -239,7 +239,7 @@ class PoissonSolver:
         Parameters
         ----------
         f : array_like (n,) or (n, k)
-            Values at the vertices. Their mean on each component is taken off first, for else there is no solution.
+            Values at the vertices. Their mean on each component is subtracted first, since otherwise there is no solution.
         strict : bool
             Refuse an f whose mean is not zero, instead of subtracting it.
 

@@ -172,7 +172,7 @@ class CommittorResult:
         return IsocommittorResult(height, points, flux / flux.sum())
 
     def transition_states(self, width: float = 0.05) -> npt.NDArray[np.int64]:
-        """Numbers of the points with \\|q - 1/2\\| <= width, the most probable ones (greatest exp(-β U)) first."""
+        """Indices of the points with \\|q - 1/2\\| <= width, the most probable ones (greatest exp(-β U)) first."""
         half = arrays.number(width, "width", above=0.0)
         found = np.flatnonzero((np.abs(self.q - 0.5) <= half) & ~self.in_A & ~self.in_B)
         return found[np.argsort(self.potential[found], kind="stable")]

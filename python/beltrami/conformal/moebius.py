@@ -111,7 +111,7 @@ class Moebius:
 
     @staticmethod
     def through(source: npt.ArrayLike, target: npt.ArrayLike) -> Moebius:
-        """The one map that takes three given points to three given points.
+        """The map that takes three given points to three given points; there is exactly one.
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ class Moebius:
 
     @staticmethod
     def centering(points: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Moebius:
-        """The map after which the weighted mean of the points is zero; it turns nothing (Baden, Crane and Kazhdan 2018).
+        """The map that moves the weighted mean of the points to zero, without rotation (Baden, Crane and Kazhdan 2018).
 
         Parameters
         ----------

@@ -196,7 +196,7 @@ def run(
     Parameters
     ----------
     folder : path
-        Made if it is missing. Files of the same names are replaced, others left alone.
+        Created if it is missing. Files of the same names are replaced, others are left alone.
     only : list of str, optional
         Only the sections with one of these words in their title.
     progress : callable, optional
@@ -206,7 +206,7 @@ def run(
     Returns
     -------
     list of Outcome
-        One a section; those with an ``error`` failed, and the page shows it.
+        One per section; those with an ``error`` failed, and the page shows it.
 
     Raises
     ------

@@ -110,7 +110,7 @@ class Flow:
 
     @property
     def intervals(self) -> int:
-        """How many intervals time has."""
+        """Number of time intervals."""
         return len(self.momentum)
 
     def interpolate(self, t: float) -> Floats:
@@ -146,12 +146,12 @@ class Flow:
         return v
 
     def particle_paths(self, points: npt.ArrayLike, *, substeps: int = 4) -> Floats:
-        """Where particles go: streamlines on the surface.
+        """Paths of particles: streamlines on the surface.
 
         Parameters
         ----------
         points : array_like (k, D), or (k,) of int
-            Where they start, or at which vertices.
+            Where they start: positions, or vertices.
         substeps : int
             Steps of the midpoint rule in each interval.
 
