@@ -1,5 +1,20 @@
 //! Intrinsic computing on triangle meshes and point clouds.
 //!
+//! ```
+//! use beltrami::geodesic::HeatMethod;
+//! use beltrami::operators::cotangent_operators;
+//! use beltrami::solvers::{EigenOptions, Mass, eigenpairs};
+//! use beltrami::{Control, shape::make};
+//!
+//! let control = Control::default(); // progress and cancelling
+//! let torus = make::torus(1.0, 0.4, 60, 24)?;
+//! let operators = cotangent_operators(&torus)?;
+//! let modes = eigenpairs(&operators.stiffness, Mass::Diagonal(&operators.mass), 6, &EigenOptions::default(), &control)?;
+//! let distance = HeatMethod::on_mesh(&torus, 1.0, &control)?.distance(&[0], &control)?;
+//! assert!(modes.values[0].abs() < 1e-9 && distance[0] == 0.0);
+//! # Ok::<(), beltrami::Error>(())
+//! ```
+//!
 //! Data flows one way through the modules of this crate, and so do imports:
 //!
 //! | module | what it contains |
