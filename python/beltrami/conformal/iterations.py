@@ -16,6 +16,8 @@ from .surface import Surface, corner_products, determinants, row_products, unit_
 
 ASTRAY = 1.1  # times the least E - A so far: a step went astray
 
+LEAPS = 30  # Cayley steps at most that the line search does not see
+
 
 def _tangential(vectors: Floats, s: Floats) -> Floats:
     found: Floats = vectors - row_products(vectors, s)[:, None] * s
@@ -187,6 +189,7 @@ def cayley(
     trace = Trace()
     value, g, h = evaluate(s)
     reference, count, tau = value, 1.0, 1.0 if metric is not None else float((mass / np.maximum(stiffness.diagonal(), 1e-300)).min())
+    leaps, usual = 0, tau
     for step in range(steps):
         residual = float(np.sqrt(mass @ row_products(h, h) / mass.sum()))
         trace.move.append(residual)
@@ -196,6 +199,7 @@ def cayley(
             trace.converged = True
             break
         slope = float((g * h).sum())
+        wished = tau
         for _ in range(40):
             new = centred(_cayley_step(s, h, tau), surface.mass)
             new_value, new_g, new_h = evaluate(new)
@@ -204,6 +208,16 @@ def cayley(
             tau *= 0.2
         else:
             break
+        if tau < 1e-6 * wished:  # before a triangle that is upright, whose signed area jumps: over it
+            if leaps == LEAPS:
+                break
+            leaps += 1
+            tau = usual
+            new = centred(_cayley_step(s, h, tau), surface.mass)
+            new_value, new_g, new_h = evaluate(new)
+            reference, count = new_value, 0.0
+        else:
+            usual = tau
         ds, dh = new - s, new_h - h
         weighted = mass[:, None] * ds if metric is None else stiffness @ ds
         weighted_h = mass[:, None] * dh if metric is None else stiffness @ dh
