@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -441,6 +441,8 @@ def distance_matrix(
     """
     if isinstance(shapes, str | os.PathLike) or not isinstance(shapes, Iterable):
         raise InputError(f"shapes is {shapes!r}; a list of shapes or paths is needed")
+    if isinstance(shapes, Mapping):
+        raise InputError("shapes is a mapping; give list(shapes.values()), and labels=list(shapes)")
     members = list(shapes)
     count = len(members)
     for index, member in enumerate(members):

@@ -147,6 +147,7 @@ def test_plots_are_written(matrix, tmp_path, kind):
 def test_options_that_do_not_fit_are_refused(shapes, matrix):
     calls = [
         lambda: bt.distance_matrix([shapes[0], 3]),
+        lambda: bt.distance_matrix({"one": shapes[0], "two": shapes[1]}),  # the names were taken for files
         lambda: bt.distance_matrix(shapes, method="hausdorff"),
         lambda: bt.distance_matrix(shapes, executor="fast"),
         lambda: bt.distance_matrix(shapes, labels=["one"]),
