@@ -33,6 +33,7 @@ __all__ = ["DistanceMatrix", "distance_matrix"]
 
 Member = Shape | str | os.PathLike[str]
 Method = Literal["rswd", "shape_dna"] | Callable[[Shape, Shape], float]
+Pairs = list[tuple[int, int]]
 
 _LEVELS = [5, 10, 20]  # modes that eigenmaps are compared by, coarse to fine
 _POINTS = 300
@@ -457,83 +458,124 @@ def distance_matrix(
     names = tuple(str(label) for label in labels) if labels is not None else tuple(_name(m, i) for i, m in enumerate(members))
     if len(names) != count:
         raise InputError(f"{len(names)} labels for {count} shapes")
-    threads, seed = arrays.whole(threads, "threads", 1, 4096), arrays.whole(0 if rng is None else rng, "rng", 0)
-    report = teller(reporter(progress, "distances"))
-    runner: _Executor = _Local() if executor is None else executor
-    parent = os.getpid()
-    known = method if isinstance(method, str) else f"{method.__module__}.{getattr(method, '__qualname__', type(method).__name__)}"
-    modes = 50 if method == "shape_dna" else _LEVELS[-1]
     folder = None if checkpoint is None else arrays.file(checkpoint, "checkpoint")
-    shelf = arrays.file(cache, "cache") if cache is not None else None if folder is None else folder / "eigenmaps"
-    prints = [_fingerprint(member) for member in members] if folder is not None or shelf is not None else [""] * count
-    tiles = list(_tiles(count))
-    described = 0 if callable(method) else count
-    total, done = described + len(tiles), 0
+    work = _Work(
+        members,
+        names,
+        method,
+        seed=arrays.whole(0 if rng is None else rng, "rng", 0),
+        threads=arrays.whole(threads, "threads", 1, 4096),
+        runner=_Local() if executor is None else executor,
+        folder=folder,
+        shelf=arrays.file(cache, "cache") if cache is not None else None if folder is None else folder / "eigenmaps",
+        report=teller(reporter(progress, "distances")),
+    )
+    described = work.describe()
+    matrix = work.measure(described)
+    return DistanceMatrix(matrix, dict(sorted(work.failures.items())), names, work.known)
 
-    def told() -> None:
-        nonlocal done
-        done += 1
-        report(done / max(total, 1))
 
-    failures: dict[int, str] = {}
-    parts: dict[int, Any] = {}
-    if callable(method):
-        parts = dict(enumerate(members))
-    else:
-        places = {i: None if shelf is None else shelf / f"{prints[i]}-{modes}-{_POINTS}-{_VERSION}.npz" for i in range(count)}
+class _Work:
+    """The tasks of one collection: each shape is described, then each tile of pairs is measured. What a folder holds is not done again."""
 
-        def missing() -> Iterator[tuple[int, tuple[Any, ...]]]:
-            for index, member in enumerate(members):
-                kept = _recall(places[index])
-                if kept is None:
-                    yield index, (_describe_shape, member, modes, parent, threads)
-                else:
-                    parts[index] = kept
-                    told()
+    def __init__(
+        self,
+        members: list[Member],
+        names: tuple[str, ...],
+        method: Method,
+        *,
+        seed: int,
+        threads: int,
+        runner: _Executor,
+        folder: Path | None,
+        shelf: Path | None,
+        report: Callable[[float], None],
+    ) -> None:
+        self.members, self.names, self.method, self.seed, self.threads = members, names, method, seed, threads
+        self.runner, self.folder, self.shelf, self.report = runner, folder, shelf, report
+        self.known = method if isinstance(method, str) else f"{method.__module__}.{getattr(method, '__qualname__', type(method).__name__)}"
+        self.modes = 50 if method == "shape_dna" else _LEVELS[-1]
+        self.prints = [_fingerprint(member) if folder is not None or shelf is not None else "" for member in members]
+        self.tiles = list(_tiles(len(members)))
+        self.failures: dict[int, str] = {}
+        self.parent = os.getpid()
+        self.total, self.done = (0 if callable(method) else len(members)) + len(self.tiles), 0
 
-        for index, (found, wrong) in _run(runner, missing()):
+    def _tell(self) -> None:
+        """One task more is done."""
+        self.done += 1
+        self.report(self.done / max(self.total, 1))
+
+    def describe(self) -> dict[int, Any]:
+        """What is compared of each shape: its eigenmap, its spectrum or itself. Shapes that fail are left out, and noted."""
+        if callable(self.method):
+            return dict(enumerate(self.members))
+        described: dict[int, Any] = {}
+        for index, (found, wrong) in _run(self.runner, self._undescribed(described)):
+            place = self._eigenmap(index)
             if found is None:
-                failures[index] = wrong
+                self.failures[index] = wrong
             else:
-                parts[index] = found
-                place = places[index]
+                described[index] = found
                 if place is not None:
                     _store(place, found)
-            told()
-    matrix = np.zeros((count, count))
+            self._tell()
+        return described
 
-    def enter(pairs: list[tuple[int, int]], values: list[tuple[float, str]]) -> None:
+    def _undescribed(self, described: dict[int, Any]) -> Iterator[tuple[int, tuple[Any, ...]]]:
+        """A task for each shape that is not on disk; the others go to ``described`` at once."""
+        for index, member in enumerate(self.members):
+            kept = _recall(self._eigenmap(index))
+            if kept is None:
+                yield index, (_describe_shape, member, self.modes, self.parent, self.threads)
+            else:
+                described[index] = kept
+                self._tell()
+
+    def measure(self, described: dict[int, Any]) -> Floats:
+        """The matrix of distances; infinite for shapes that could not be described."""
+        count = len(self.members)
+        matrix = np.zeros((count, count))
+        for pairs, values in _run(self.runner, self._unmeasured(described, matrix)):
+            self._enter(matrix, pairs, values)
+            place = self._tile(pairs)
+            if place is not None and not any(wrong for _, wrong in values):
+                _store(place, {"values": np.array([value for value, _ in values])})
+            self._tell()
+        for index in set(range(count)) - set(described):
+            matrix[index] = matrix[:, index] = np.inf
+            matrix[index, index] = 0.0
+        return matrix
+
+    def _unmeasured(self, described: dict[int, Any], matrix: Floats) -> Iterator[tuple[Pairs, tuple[Any, ...]]]:
+        """A task for each tile that is not on disk; the others go to the ``matrix`` at once."""
+        for tile in self.tiles:
+            pairs = [(i, j) for i, j in tile if i in described and j in described]
+            kept = _recall(self._tile(pairs))
+            if kept is not None and len(kept["values"]) == len(pairs):
+                self._enter(matrix, pairs, [(float(value), "") for value in kept["values"]])
+                self._tell()
+            elif pairs:
+                needed = {index: described[index] for index in sorted({index for pair in pairs for index in pair})}
+                yield pairs, (_measure, self.method, pairs, needed, self.seed, self.parent, self.threads)
+            else:
+                self._tell()
+
+    def _enter(self, matrix: Floats, pairs: Pairs, values: list[tuple[float, str]]) -> None:
+        """Distances of pairs, or what went wrong with them."""
         for (i, j), (value, wrong) in zip(pairs, values, strict=True):
             matrix[i, j] = matrix[j, i] = value
             if wrong:
-                failures.setdefault(i, f"with {names[j]}: {wrong}")
+                self.failures.setdefault(i, f"with {self.names[j]}: {wrong}")
 
-    def place_of(pairs: list[tuple[int, int]]) -> Path | None:
-        if folder is None:
+    def _eigenmap(self, index: int) -> Path | None:
+        """The file of a shape's eigenmap or spectrum."""
+        return None if self.shelf is None else self.shelf / f"{self.prints[index]}-{self.modes}-{_POINTS}-{_VERSION}.npz"
+
+    def _tile(self, pairs: Pairs) -> Path | None:
+        """The file of a tile: it is named by the method, its options and the shapes themselves."""
+        if self.folder is None:
             return None
-        key = "|".join([known, str(seed), str(modes), str(_POINTS), _VERSION, *(f"{prints[i]},{prints[j]}" for i, j in pairs)])
-        return folder / "tiles" / f"{hashlib.sha256(key.encode()).hexdigest()}.npz"
-
-    def undone() -> Iterator[tuple[list[tuple[int, int]], tuple[Any, ...]]]:
-        for tile in tiles:
-            pairs = [(i, j) for i, j in tile if i in parts and j in parts]
-            kept = _recall(place_of(pairs))
-            if kept is not None and len(kept["values"]) == len(pairs):
-                enter(pairs, [(float(value), "") for value in kept["values"]])
-                told()
-            elif pairs:
-                needed = {index: parts[index] for index in sorted({index for pair in pairs for index in pair})}
-                yield pairs, (_measure, method, pairs, needed, seed, parent, threads)
-            else:
-                told()
-
-    for pairs, values in _run(runner, undone()):
-        enter(pairs, values)
-        place = place_of(pairs)
-        if place is not None and not any(wrong for _, wrong in values):
-            _store(place, {"values": np.array([value for value, _ in values])})
-        told()
-    for index in set(range(count)) - set(parts):
-        matrix[index] = matrix[:, index] = np.inf
-        matrix[index, index] = 0.0
-    return DistanceMatrix(matrix, dict(sorted(failures.items())), names, known)
+        prints = (f"{self.prints[i]},{self.prints[j]}" for i, j in pairs)
+        key = "|".join([self.known, str(self.seed), str(self.modes), str(_POINTS), _VERSION, *prints])
+        return self.folder / "tiles" / f"{hashlib.sha256(key.encode()).hexdigest()}.npz"
