@@ -12,6 +12,7 @@ from .errors import InputError
 from .operators import Operators, operators
 from .progress import Progress
 from .shapes import Shape
+from .sums import rows_times
 
 __all__ = ["hks", "shape_dna", "wks"]
 
@@ -87,7 +88,7 @@ def hks(
         if len(span) == 0 or span.min() <= 0:
             raise InputError("times must be positive, at least one")
     decay = np.exp(-np.minimum(np.multiply.outer(values, span), 745.0))
-    signature: Floats = functions**2 @ decay
+    signature: Floats = rows_times(functions**2, decay)
     if scaled:
         signature /= decay.sum(0) / _area(pairs)
     return signature
@@ -157,7 +158,7 @@ def wks(shape: Shape | Operators | Eigenpairs, *, energies: int = 16, k: int = 1
     low, high = (logs[0] + 2 * sigma, logs[-1] - 2 * sigma) if logs[-1] - logs[0] > 4 * sigma else (logs[0], logs[-1])
     levels = np.linspace(low, high, count)
     weights = np.exp(-((levels[None, :] - logs[:, None]) ** 2) / (2 * sigma**2))
-    signature: Floats = functions[:, above] ** 2 @ (weights / weights.sum(0)) * _area(pairs)
+    signature: Floats = rows_times(functions[:, above] ** 2, weights / weights.sum(0)) * _area(pairs)
     return signature
 
 

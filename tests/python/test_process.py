@@ -29,9 +29,9 @@ def values(level: int = 3) -> bytes:
     return bt.eigenpairs(bt.shapes.sphere(level), 5).values.tobytes()
 
 
-def few_and_all(few):
+def few_and_all(few, but=()):
     """Some methods in every run, the whole table of the sweep in `make slow`."""
-    return [method if method in few else pytest.param(method, marks=pytest.mark.slow) for method in test_sweep.METHODS]
+    return [method if method in few else pytest.param(method, marks=pytest.mark.slow) for method in test_sweep.METHODS if method not in but]
 
 
 @pytest.mark.parametrize("start", [m for m in ("fork", "forkserver", "spawn") if m in multiprocessing.get_all_start_methods()])
@@ -202,6 +202,21 @@ def test_threads_setting():
 def test_same_bits_in_another_process_with_other_threads():
     code = "import beltrami as bt, sys; sys.stdout.buffer.write(bt.eigenpairs(bt.shapes.sphere(3), 5).values.tobytes().hex().encode())"
     assert {run(code, BELTRAMI_NUM_THREADS=t).stdout for t in "124"} == {values().hex()}
+
+
+# conformal registration has singular value decompositions and products of whole bases, which stay with BLAS
+@pytest.mark.parametrize("method", few_and_all(["hks", "denoise"], but=["register_conformal"]))
+def test_same_bits_on_other_threads_of_blas(method):
+    """Which adds up in parts from 10,000 numbers on; numpy takes it for ``@``."""
+    code = f"""
+import hashlib, numpy as np, test_sweep
+found = test_sweep.METHODS[{method!r}](test_sweep.larger({method!r}, 40_000), np.random.default_rng(3))
+print(hashlib.sha256(b"".join(array.tobytes() for array in test_sweep.arrays_of(found))).hexdigest())
+"""
+    variables = {"PYTHONPATH": os.path.dirname(__file__)}
+    done = [run(code, 300, **variables, OPENBLAS_NUM_THREADS=threads, MKL_NUM_THREADS=threads) for threads in "12"]
+    assert len(done[0].stdout) == 65, done[0].stderr
+    assert done[0].stdout == done[1].stdout
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import scipy
 from ..arrays import Floats
 from ..progress import Progress
 from ..solvers import Cholesky, plus_diagonal
+from ..sums import weighted_sum
 from .moebius import centred
 from .surface import Surface, corner_products, determinants, row_products, unit_rows
 
@@ -176,14 +177,14 @@ def cayley(
     def evaluate(s: Floats) -> tuple[float, Floats, Floats]:
         g, areas, excess = surface.gradient(s)
         g = _tangential(g, s)
-        moebius = np.eye(3) * mass.sum() - (s * mass[:, None]).T @ s
+        moebius = np.eye(3) * mass.sum() - np.einsum("n,na,nb->ab", mass, s, s)
         if metric is None:
             h = g / mass[:, None]
         else:
             share = (areas / areas.sum())[:, None]
             h = metric(g - share * g.sum(0))
             h = _tangential(h - (share * h).sum(0), s)
-        h = h - _tangential(np.broadcast_to(np.linalg.solve(moebius, mass @ h), s.shape), s)
+        h = h - _tangential(np.broadcast_to(np.linalg.solve(moebius, weighted_sum(h.T, mass)), s.shape), s)
         return excess, g, h
 
     trace = Trace()
@@ -191,7 +192,7 @@ def cayley(
     reference, count, tau = value, 1.0, 1.0 if metric is not None else float((mass / np.maximum(stiffness.diagonal(), 1e-300)).min())
     leaps, usual = 0, tau
     for step in range(steps):
-        residual = float(np.sqrt(mass @ row_products(h, h) / mass.sum()))
+        residual = float(np.sqrt(weighted_sum(row_products(h, h), mass) / mass.sum()))
         trace.move.append(residual)
         trace.excess.append(value)
         report((step + 1) / steps)

@@ -163,7 +163,7 @@ def match(source: Side, target: Side, *, method: str, polish: bool, most: int, r
         how = "rest on the energies of the deformations alone" if extrinsic else "cannot be told apart"
         notes.append(f"no orientation: left and right {how}{twins(found.candidates)}")
     moved = source.positions[found.backward[found.forward]] - source.positions
-    there_and_back = float(source.mass @ np.linalg.norm(moved, axis=1))
+    there_and_back = float((source.mass * np.linalg.norm(moved, axis=1)).sum())
     notes += _doubts(source, target, there_and_back)
     result = RegistrationResult(
         point_map=found.forward,

@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..operators import Operators
 from ..progress import GapWatch, Progress
 from ..shapes import Shape
+from ..sums import weighted_sum
 from .denoising import DenoisingResult, denoise
 from .level_sets import contours, lines_of
 from .result import SegmentationResult
@@ -67,10 +68,10 @@ class _Segmenter:
         if distinct < self.regions:
             text = "the image is constant" if distinct == 1 else f"the image has {distinct} distinct values"
             raise InputError(f"{text}; {self.regions} regions need at least {self.regions}: ask for fewer, or give means")
-        centred = data - weights @ data / weights.sum()
+        centred = data - weighted_sum(data.T, weights) / weights.sum()
         scale = np.abs(centred).max()
         centred = centred / scale
-        _, axes = np.linalg.eigh((centred * weights[:, None]).T @ centred)
+        _, axes = np.linalg.eigh(np.einsum("n,nc,nd->cd", weights, centred, centred))
         axis = axes[:, -1] * (1 if axes[:, -1].sum() >= 0 else -1)
         position = centred @ axis
         order = np.argsort(position, kind="stable")
@@ -78,7 +79,7 @@ class _Segmenter:
             # the best of all thresholds: the variance between the two sides
             x, w = position[order], weights[order]
             mass, moment = np.cumsum(w)[:-1], np.cumsum(w * x)[:-1]
-            rest, rest_moment = w.sum() - mass, (w @ x) - moment
+            rest, rest_moment = w.sum() - mass, (w * x).sum() - moment
             cut = np.where(np.diff(x) > 0, moment**2 / mass + rest_moment**2 / np.maximum(rest, 1e-300), -np.inf)
             labels = np.zeros(len(data), np.intp)
             labels[order[int(np.argmax(cut)) + 1 :]] = 1
@@ -247,7 +248,7 @@ class _Segmenter:
             return False
         mass, united = self.surface.mass, found.copy()
         both = mass * (found[:, one] + found[:, other])
-        if both @ cost[:, other] < both @ cost[:, one]:
+        if weighted_sum(cost[:, other], both) < weighted_sum(cost[:, one], both):
             one, other = other, one
         united[:, one] += united[:, other]
         united[:, other] = 0.0

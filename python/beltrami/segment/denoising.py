@@ -17,6 +17,7 @@ from ..operators import Operators
 from ..progress import GapWatch, Progress
 from ..results import save_result
 from ..shapes import Shape
+from ..sums import weighted_sum
 from ..view import Page, Picture, plot
 from .surface import BALANCE, CHECK, RELAXATION, Surface, System, TotalVariation, balance, check_range, image_in, mask_in
 
@@ -151,9 +152,9 @@ def denoise(
     # The image's deviation is the unit of its values, so that one penalty fits all.
     low, high = data[known].min(0), data[known].max(0)
     share = surface.mass[known] / max(surface.mass[known].sum(), 1e-300)
-    centre = share @ data[known]
+    centre = weighted_sum(data[known].T, share)
     span = float((high - low).max())
-    unit = span * float(np.sqrt(share @ np.square((data[known] - centre) / span).sum(1))) if span > 0 else 0.0
+    unit = span * float(np.sqrt(weighted_sum(np.square((data[known] - centre) / span).sum(1), share))) if span > 0 else 0.0
     if unit <= 0:
         empty = np.zeros(surface.table(data.shape[1]))
         filled = np.where(known[:, None], data, low)

@@ -22,6 +22,7 @@ from ..operators import Operators, operators
 from ..shapes import Shape, TriangleMesh
 from ..simplices import hat_gradients, simplices
 from ..solvers import PoissonSolver
+from ..sums import weighted_sum
 
 END = 2.0  # times the number of intervals: what a free end weighs in the projection
 RATIO = 0.5  # of the dual to the primal step, in the metric of the density
@@ -136,7 +137,7 @@ class Problem:
         if self.scale is not None:
             return self.scale
         ends = [self.start] if self.end is None else [self.start, self.end]
-        return float(np.mean([self.surface.mass @ np.square(end / self.mass) for end in ends])) * self.mass
+        return float(np.mean([weighted_sum(np.square(end / self.mass), self.surface.mass) for end in ends])) * self.mass
 
 
 class _InUnits(Cost):
@@ -289,16 +290,16 @@ class Model:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             values = square / rho if q == 2 else square ** (q / 2) * rho ** (1 - q)
         values = np.where(square > 0, values, 0.0)
-        return float((values @ (self.surface.areas * weights)).sum()) / (q * self.n)
+        return float(weighted_sum(values, self.surface.areas * weights).sum()) / (q * self.n)
 
     def standing(self, density: Floats) -> float:
         """Running and terminal costs."""
         total = 0.0
         if self.running is not None:
-            values = self.running.value(density) @ self.mass
+            values = weighted_sum(self.running.value(density), self.mass)
             total += float((values[1:-1].sum() + 0.5 * values[0] + (0.5 * values[-1] if self.end is not None else 0.0)) / self.n)
         if self.last is not None:
-            total += float(self.last.value(density[-1:])[0] @ self.mass) / self.n
+            total += float(weighted_sum(self.last.value(density[-1:])[0], self.mass)) / self.n
         return total
 
     def prox(self, density: Floats, step: Floats) -> Floats:
@@ -332,19 +333,19 @@ class Model:
     def boundary(self, potential: Floats, h: Floats, last: Floats | None) -> float:
         """What the two ends contribute to the bound; ``last`` has the slopes of the terminal cost."""
         first = potential[0] + h[0] / (2 * self.n)
-        value = -float(self.mass @ (self.start * first))
+        value = -float(weighted_sum(self.start * first, self.mass))
         return value + (self.linear_end(potential, h, last) if self.end is None else self.given_end(potential, h))
 
     def given_end(self, potential: Floats, h: Floats) -> float:
         assert self.end is not None
-        return float(self.mass @ (self.end * (potential[-1] - h[-1] / (2 * self.n))))
+        return float(weighted_sum(self.end * (potential[-1] - h[-1] / (2 * self.n)), self.mass))
 
     def linear_end(self, potential: Floats, h: Floats, last: Floats | None) -> float:
         height = potential[-1] - h[-1] / (2 * self.n) + (0.0 if last is None else last)
         least = np.full(self.surface.components, np.inf)
         there = self.mass > 0
         np.minimum.at(least, self.surface.labels[there], height[there])
-        return float(self.masses[0] @ np.where(least < np.inf, least, 0.0))  # inf: a part where nothing can be
+        return float(weighted_sum(np.where(least < np.inf, least, 0.0), self.masses[0]))  # inf: a part where nothing can be
 
     def linear_bound(self, potential: Floats, limit: Floats, last: Floats | None) -> tuple[float, Floats]:
         """The least cost for players who pay ``limit`` at each inner slice and ``last`` at the end, from below, and the potential that
@@ -372,7 +373,7 @@ class Model:
     def soft_bound(self, potential: Floats, *, inner: bool) -> float:
         """The bound by the conjugates of superlinear costs. ``inner=False``: the potential satisfies the inequality inside already."""
         h = self.hamiltonian(potential)
-        value = -float(self.mass @ (self.start * (potential[0] + h[0] / (2 * self.n))))
+        value = -float(weighted_sum(self.start * (potential[0] + h[0] / (2 * self.n)), self.mass))
         if inner and self.running is not None and self.n > 1:
             value -= self._conjugate(self.running, self.n * np.diff(potential, axis=0) + 0.5 * (h[1:] + h[:-1])) / self.n
         if self.end is not None:
@@ -417,15 +418,15 @@ class Model:
             low, high = np.where(too_little, low, middle), np.where(too_little, middle, high)
         shift = high
         with np.errstate(over="ignore", invalid="ignore"):
-            values = np.where(self.mass > 0, cost.conjugate(slope - shift[:, labels]), 0.0) @ self.mass
+            values = weighted_sum(np.where(self.mass > 0, cost.conjugate(slope - shift[:, labels]), 0.0), self.mass)
         total = float(values.sum() + (shift * masses).sum())
         return total if np.isfinite(total) else np.inf
 
     def tangent(self, density: Floats) -> float:
         """``∫ F'(ρ) ρ`` over the slices that are free."""
         limit, last = self.slopes(density)
-        at = float(((limit[1:] * density[1:-1]) @ self.mass).sum()) / self.n
-        return at if last is None else at + float(self.mass @ (last * density[-1]))
+        at = float(weighted_sum(limit[1:] * density[1:-1], self.mass).sum()) / self.n
+        return at if last is None else at + float(weighted_sum(last * density[-1], self.mass))
 
     def bound(self, potential: Floats, density: Floats) -> tuple[float, Floats]:
         """A lower bound of the objective, and the potential that proves it: costs are convex, so they lie above their tangents at
@@ -454,7 +455,7 @@ class Model:
         if self.running is None:
             return 0.0
         ends = [self.start] if self.end is None else [self.start, self.end]
-        return sum(0.5 * float(self.running.value(end[None])[0] @ self.mass) for end in ends) / self.n
+        return sum(0.5 * float(weighted_sum(self.running.value(end[None])[0], self.mass)) for end in ends) / self.n
 
     # --- the bound from above -----------------------------------------------------------------------------------------------------
 
@@ -660,10 +661,13 @@ class Gradient:
         model, q = self.model, self.model.power
         rho = np.maximum(model.densities(density), self.floor)
         square = model.squares(momentum)
-        moving = float(((square ** (q / 2) * rho ** (1 - q)) @ (model.surface.areas * model.weights)).sum()) / (q * model.n)
+        moving = float(weighted_sum(square ** (q / 2) * rho ** (1 - q), model.surface.areas * model.weights).sum()) / (q * model.n)
         short = np.maximum(self.floor - density[1:], 0.0)
-        moving += 0.5 * self.stiffness * float((np.square(short) @ model.mass).sum()) / model.n
-        return moving + sum(share * float(self.extended(cost, density[k : k + 1])[0][0] @ model.mass) for cost, k, share in self.costs())
+        moving += 0.5 * self.stiffness * float(weighted_sum(np.square(short), model.mass).sum()) / model.n
+        standing = (
+            share * float(weighted_sum(self.extended(cost, density[k : k + 1])[0][0], model.mass)) for cost, k, share in self.costs()
+        )
+        return moving + sum(standing)
 
     def costs(self) -> list[tuple[Cost, int, float]]:
         """The costs of being somewhere: of which slice, and with which share of time."""
@@ -719,14 +723,14 @@ class Gradient:
             moved, psi = model.project(p - eta * slope_p, model.flux(m - eta * slope_m), model.plain)
             momentum = m - eta * slope_m + model.gradients(psi)
             dp, dm = moved - p, momentum - m
-            linear = float(slices @ ((slope_p * dp) @ model.mass)) + float(((slope_m * dm) @ measure).sum())
-            size = float(slices @ (np.square(dp) @ model.mass) + (np.square(dm) @ measure).sum())
+            linear = float(slices @ weighted_sum(slope_p * dp, model.mass)) + float(weighted_sum(slope_m * dm, measure).sum())
+            size = float(slices @ weighted_sum(np.square(dp), model.mass) + weighted_sum(np.square(dm), measure).sum())
             there = self.value(moved, momentum)
             if there <= here + (linear + 0.5 * size / eta) / model.n + 1e-13 * abs(here) or eta < 1e-9:
                 break
             self.step *= 0.5
-        uphill = float(slices @ (((p - moved) * (moved - self.density)) @ model.mass))
-        uphill += float((((m - momentum) * (momentum - self.momentum)) @ measure).sum())
+        uphill = float(slices @ weighted_sum((p - moved) * (moved - self.density), model.mass))
+        uphill += float(weighted_sum((m - momentum) * (momentum - self.momentum), measure).sum())
         self.behind = (self.density, self.momentum)
         self.density, self.momentum, self.psi, self.t = moved, momentum, psi / eta, t
         if uphill > 0:

@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..files import save_with
 from ..results import save_result
 from ..shapes import PointCloud, Shape
+from ..sums import weighted_sum
 from ..view import Page, Picture, plot
 from ..view.film import film
 from .continuity import MEMORY, Certificate, Problem, Surface
@@ -36,7 +37,7 @@ def density_in(surface: Surface, density: npt.ArrayLike, name: str) -> Floats:
     if values.min() < 0:
         where = int(np.argmin(values))
         raise InputError(f"{name}[{where}] is {values[where]:g}; densities must not be negative: clip them with np.maximum(..., 0)")
-    mass = float(surface.mass @ values)
+    mass = float(weighted_sum(values, surface.mass))
     if not (np.isfinite(mass * surface.total) and mass > 1e-200):
         raise InputError(f"{name} has the mass {mass * surface.total:g}; it must be positive and within range")
     return values
@@ -49,7 +50,7 @@ def balanced(surface: Surface, densities: list[Floats], names: Sequence[str], no
     out = [first]
     for density, name in zip(densities[1:], names[1:], strict=True):
         if normalize:
-            density = density * (wanted.sum() / float(surface.mass @ density))
+            density = density * (wanted.sum() / float(weighted_sum(density, surface.mass)))
         found = surface.sums((density * surface.mass)[None])[0]
         total, other = wanted.sum() * surface.total, found.sum() * surface.total
         if abs(other - total) > EQUAL * total:
@@ -250,7 +251,7 @@ def flow_fields(problem: Problem, certificate: Certificate, iterations: int, tol
     change = model.rate(path)
     there = surface.mass > 0
     rms = [float(np.sqrt((x[:, there] ** 2 / surface.mass[there]).sum() / model.n)) for x in (change - flux, change)]
-    size = rms[1] + float(np.sqrt((path**2 @ surface.mass).mean()))
+    size = rms[1] + float(np.sqrt(weighted_sum(path**2, surface.mass).mean()))
     local = momentum.reshape(model.n, model.elements, -1) * (model.density * model.speed)
     steps = [np.array(column) for column in zip(*certificate.history, strict=True)]
     names = ("iteration", "objective", "lower_bound", "gap")

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..operators import Operators
 from ..progress import GapWatch, Progress
 from ..shapes import Shape
+from ..sums import weighted_sum
 from . import continuity
 from .continuity import Problem, Surface
 from .flow import Flow, Method, balanced, density_in, flow_fields, options_in
@@ -173,9 +174,9 @@ def mean_field_game(
     certificate, iterations = continuity.solve(problem, method, wished, most, GapWatch(progress, "game", wished))
     fields, value = flow_fields(problem, certificate, iterations, wished)
     model, density = certificate.model, fields["density"]
-    values = [] if running is None else list(running.value(density) @ surface.mass * surface.total)
+    values = [] if running is None else list(weighted_sum(running.value(density), surface.mass) * surface.total)
     running_value = float(sum(values[1:-1]) + 0.5 * (values[0] + values[-1])) / model.n if values else 0.0
-    terminal_value = 0.0 if terminal is None else float(terminal.value(density[-1:])[0] @ surface.mass) * surface.total
+    terminal_value = 0.0 if terminal is None else float(weighted_sum(terminal.value(density[-1:])[0], surface.mass)) * surface.total
     moving = model.kinetic(density / model.density, certificate.momentum)
     kinetic = value - model.standing(density / model.density) * model.value_unit if running or terminal else value
     objective = kinetic + running_value + terminal_value
