@@ -12,7 +12,7 @@ use rayon::prelude::*;
 pub struct Sliced<'a> {
     /// Coordinates, vertex after vertex.
     pub points: &'a [f64],
-    /// Coordinates a vertex.
+    /// Coordinates per vertex.
     pub dimension: usize,
     /// Corners of the cells, `size` each.
     pub cells: &'a [u32],

@@ -152,7 +152,7 @@ pub struct Spectral<'a> {
     pub modes: usize,
     /// Points x features, already weighted; may be empty.
     pub features: &'a [f64],
-    /// A mass a point.
+    /// The mass of each point.
     pub masses: &'a [f64],
 }
 

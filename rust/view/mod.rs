@@ -87,7 +87,7 @@ pub enum Colouring<'a> {
     Vertices(&'a [Rgba]),
     /// One colour per face.
     Faces(&'a [Rgba]),
-    /// One label a vertex, an index into the palette; regions meet half way. A label beyond the palette: no data.
+    /// One label per vertex, an index into the palette; regions meet half way. A label beyond the palette: no data.
     Labels {
         /// The labels.
         labels: &'a [u32],
