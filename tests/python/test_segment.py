@@ -260,6 +260,23 @@ def test_contours_end_at_the_boundary():
     assert set(line[[0, -1], 1]) == {0.0, 1.0}
 
 
+def test_contours_of_clouds_close():
+    """Stars disagree here and there: lines were left open in a segmentation, and loops that single stars had drawn were counted."""
+    torus = bt.shapes.torus()
+    cloud = bt.PointCloud(torus.vertices)
+    r = bt.segment(cloud, torus.vertices @ [1.0, 0.5, 0.2] > 0.2, fidelity=60.0)
+    assert len(r.contours) == 2
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(4000, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    band = bt.contours(bt.PointCloud(points), np.abs(points[:, 2]), level=0.5)
+    assert len(band) == 2
+    for line in [*r.contours, *band]:
+        np.testing.assert_array_equal(line[0], line[-1])
+    length = sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in band)
+    assert length == pytest.approx(2 * np.pi * np.sqrt(3), rel=0.03)
+
+
 def test_clouds():
     sphere = bt.shapes.sphere(4)
     cloud = bt.PointCloud(sphere.vertices)

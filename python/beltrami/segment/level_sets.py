@@ -27,10 +27,7 @@ def lines_of(surface: Surface, values: Floats, level: float) -> tuple[list[Float
         return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
     if surface.corners.shape[1] != 3 or not isinstance(surface.operators, CloudOperators):
         return [], 0.0
-    # A cloud's triangles count by their votes; lines run over those that most of their corners see.
-    ops = surface.operators
-    faces = np.ascontiguousarray(ops.simplices[ops.votes >= 2])
-    found = polylines(_core.level_set((shape.points, faces), np.ascontiguousarray(values), level))
+    found = cloud_contours(surface.operators, values, level)
     return found, float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in found))
 
 
@@ -98,7 +95,9 @@ def cloud_contours(shape: PointCloud | CloudOperators, values: npt.ArrayLike, he
     apex, left, right = triangles[rows, lone], triangles[rows, (lone + 1) % 3], triangles[rows, (lone + 2) % 3]
     ends = np.stack([np.sort(np.c_[apex, left], 1), np.sort(np.c_[apex, right], 1)], 1)
     order = np.argsort(-votes[cut].astype(np.int64), kind="stable")
-    links = _link([((a, b), (c, d)) for (a, b), (c, d) in ends[order].tolist()])
+    segments = [((a, b), (c, d)) for (a, b), (c, d) in ends[order].tolist()]
+    sure = {frozenset(segment) for segment, many in zip(segments, votes[cut][order] >= 2, strict=True) if many}
+    links = _link([pair for chain in _chains(_link(segments)) for pair in itertools.pairwise(_trimmed(chain, sure))])
     _join(links, ops.boundary, points)
     chains = _chains(links)
     found = []
@@ -118,6 +117,17 @@ def _link(segments: list[tuple[Edge, Edge]]) -> dict[Edge, list[Edge]]:
             first.append(end)
             second.append(start)
     return links
+
+
+def _trimmed(chain: list[Edge], sure: set[frozenset[Edge]]) -> list[Edge]:
+    """Without ends that single stars have drawn; nothing where these have drawn the most of it."""
+    known = np.array([frozenset(pair) in sure for pair in itertools.pairwise(chain)])
+    if not known.any() or 2 * np.count_nonzero(known) < len(known):
+        return []
+    if len(chain) > 2 and chain[0] == chain[-1]:
+        return chain
+    first, last = np.flatnonzero(known)[[0, -1]]
+    return chain[first : last + 2]
 
 
 def _join(links: dict[Edge, list[Edge]], rim: npt.NDArray[np.bool_], points: Floats) -> None:
