@@ -114,7 +114,7 @@ def _set(spec: str, name: str, fields: Mapping[str, npt.NDArray[Any]], count: in
     return values != 0 if len(values) == count and values.dtype.kind != "b" and np.isin(values, (0, 1)).all() else values
 
 
-@command("committor", "the probability of reaching B before A, and the rate of reactions from A to B", _committor_options)
+@command("committor", "the probability of reaching B before A, and reaction rates from A to B", _committor_options)
 def committor(options: Options) -> int:
     check_outputs(options)
     shape, fields = _samples(options)

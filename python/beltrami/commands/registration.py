@@ -36,21 +36,26 @@ from . import (
 )
 
 
-def _register_options(parser: argparse.ArgumentParser) -> None:
+def _pair_options(parser: argparse.ArgumentParser, view: str) -> None:
+    """What all maps between two shapes have: the shapes, landmarks, and where the answer goes."""
     parser.add_argument("source", help=FILES)
     parser.add_argument("file", metavar="target", help="the shape it is matched to")
-    look_options(parser, "front")
+    look_options(parser, view)
     output_files(parser)
-    parser.add_argument(
-        "--method", choices=("auto", "rswd"), default="auto", help="rswd: the sliced Wasserstein iteration between eigenmaps alone (auto)"
-    )
     parser.add_argument("--landmarks", metavar="FILE", help="pairs of vertex numbers, source and target: lines of .csv or .txt, or .npy")
-    parser.add_argument("--intrinsic", action="store_true", help="use only what bending does not change: neither positions nor curvature")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the random directions (0)")
     cloud_options(parser)
 
 
-@command("register", "the point map between two shapes that differ by a bending", _register_options)
+def _register_options(parser: argparse.ArgumentParser) -> None:
+    _pair_options(parser, "front")
+    parser.add_argument(
+        "--method", choices=("auto", "rswd"), default="auto", help="rswd: the sliced Wasserstein iteration between eigenmaps alone (auto)"
+    )
+    parser.add_argument("--intrinsic", action="store_true", help="use only what bending does not change: neither positions nor curvature")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random directions (0)")
+
+
+@command("register", "the point map between two nearly isometric shapes", _register_options)
 def register(options: Options) -> int:
     check_outputs(options)
     look = looks_of(options)
@@ -86,11 +91,7 @@ def register(options: Options) -> int:
 
 
 def _register_conformal_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", help=FILES)
-    parser.add_argument("file", metavar="target", help="the surface it is matched to")
-    look_options(parser)
-    output_files(parser)
-    parser.add_argument("--landmarks", metavar="FILE", help="pairs of vertex numbers, source and target: lines of .csv or .txt, or .npy")
+    _pair_options(parser, "three-quarter")
     parser.add_argument("-k", type=int, default=20, help="size of the bases (20)")
     parser.add_argument("--refine", type=int, default=100, help="size of the basis to which the map is refined; 0: no refinement (100)")
     parser.add_argument(
@@ -99,7 +100,6 @@ def _register_conformal_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--orientation", choices=("preserving", "reversing", "any"), default="preserving", help="reversing: for mirror images (preserving)"
     )
-    cloud_options(parser)
 
 
 @command("register-conformal", "the map between two shapes far from isometric, with its conformal factor", _register_conformal_options)
@@ -178,7 +178,7 @@ def _distances_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--picture", choices=("map", "matrix", "dendrogram", "nearest"), default="map", help="what a .png shows (map)")
 
 
-@command("distances", "distances between all pairs of shapes: a matrix, a map, a tree", _distances_options)
+@command("distances", "the distances between all pairs of shapes, as a matrix, a map or a tree", _distances_options)
 def distances(options: Options) -> int:
     check_outputs(options, (".npz", ".csv", ".png"), "distances")
     workers = arrays.whole(options.processes, "--processes", 0, 4096)

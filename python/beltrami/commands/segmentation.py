@@ -39,7 +39,7 @@ def _image_options(parser: argparse.ArgumentParser) -> None:
     look_options(parser)
     output_files(parser)
     parser.add_argument(
-        "--values", help="the image: a field of the file, or a file of numbers (see plot), one value or one row per vertex (the colours)"
+        "--values", help="the image: a field of the file, or a file of numbers (see plot), one value or row per vertex (its colours)"
     )
     weight = (
         "weight of the image against length (segment: 7.5 over its variance, more until no region is empty; denoise: 100 over its range)"
@@ -70,7 +70,7 @@ def _segment_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--regions", type=int, default=2, help="how many regions (2)")
 
 
-@command("segment", "an image on a surface into regions with short boundaries (convex Chan-Vese), certified", _segment_options)
+@command("segment", "segment an image on a surface into regions with short boundaries (convex Chan-Vese), certified", _segment_options)
 def segment(options: Options) -> int:
     check_outputs(options)
     shape, look = shape_of(options), looks_of(options)
@@ -105,7 +105,7 @@ def segment(options: Options) -> int:
     return DONE if r.converged else unfinished(r)
 
 
-@command("denoise", "an image on a surface by total variation (Rudin-Osher-Fatemi, colour too), certified", _image_options)
+@command("denoise", "denoise an image on a surface by total variation (Rudin-Osher-Fatemi, colour too), certified", _image_options)
 def denoise(options: Options) -> int:
     check_outputs(options)
     shape, look = shape_of(options), looks_of(options)

@@ -15,7 +15,7 @@ def _info_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="file", help=FILES)
 
 
-@command("info", "what a shape is: counts, topology, size, data", _info_options)
+@command("info", "describe shapes: counts, topology, size, data", _info_options)
 def info(options: Options) -> int:
     for at, file in enumerate(options.files):
         shape = read(options, file)
@@ -46,11 +46,11 @@ def _convert_options(parser: argparse.ArgumentParser) -> None:
     input_file(parser)
     parser.add_argument("target", nargs="?", metavar="OUT", help=".ply, .obj, .off, .stl, .xyz, .pts or .csv")
     parser.add_argument("-o", "--out", metavar="OUT", help="the file to write, as with the other commands")
-    parser.add_argument("--weld", action="store_true", help="vertices at equal positions become one")
-    parser.add_argument("--ascii", action="store_true", help="a text file where the format has both")
+    parser.add_argument("--weld", action="store_true", help="merge vertices at equal positions")
+    parser.add_argument("--ascii", action="store_true", help="write text if the format has both text and binary")
 
 
-@command("convert", "a shape into another format", _convert_options)
+@command("convert", "convert a shape to another format", _convert_options)
 def convert(options: Options) -> int:
     if (options.target is None) == (options.out is None):
         raise InputError("name one file to write: beltrami convert FILE OUT")
