@@ -70,7 +70,7 @@ def _segment_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--regions", type=int, default=2, help="how many regions (2)")
 
 
-@command("segment", "segment an image on a surface into regions with short boundaries (convex Chan-Vese), certified", _segment_options)
+@command("segment", "segment an image on a surface into regions with short boundaries, certified", _segment_options)
 def segment(options: Options) -> int:
     check_outputs(options)
     shape, look = shape_of(options), looks_of(options)
@@ -105,7 +105,7 @@ def segment(options: Options) -> int:
     return DONE if r.converged else unfinished(r)
 
 
-@command("denoise", "denoise an image on a surface by total variation (Rudin-Osher-Fatemi, colour too), certified", _image_options)
+@command("denoise", "denoise an image on a surface by total variation, colours too, certified", _image_options)
 def denoise(options: Options) -> int:
     check_outputs(options)
     shape, look = shape_of(options), looks_of(options)
