@@ -131,7 +131,7 @@ class _Segmenter:
         channels, radius = (1, 1.0) if self.regions == 2 else (self.regions, 0.5)
         shape = surface.table(channels)
         means, weights = self.means, surface.weights
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             cost = self._cost(means, fidelity)
         top = float(np.abs(cost).max())
         check_range(top, "fidelity times the squared contrast")

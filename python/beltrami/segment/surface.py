@@ -22,6 +22,7 @@ CHECK = 10  # sweeps between two certificates
 BALANCE = 50  # sweeps after which the penalty may be changed
 REDUCTION = 0.07  # of a linear system's residual, a sweep: less takes more sweeps, more buys none
 SOLVE, FACTOR = 20, 300  # steps of conjugate gradients that cost as much as a solve with a factor, as the factor
+COUPLED = 0.98  # of two vertices, at most 1, from which on a small residual says little about their difference
 
 
 class Surface:
@@ -76,11 +77,13 @@ class System:
     """``(L + D) x = b`` with the stiffness L and a diagonal D, solved every sweep for a right-hand side that hardly changes.
 
     Conjugate gradients from the last x take a few steps, far fewer than a factor costs. Where they take many (a mesh of very
-    unequal triangles, a D of little weight) and a factor would have paid, it is made, and kept from then on.
+    unequal triangles, a D of little weight) and a factor would have paid, it is made, and kept from then on; at once where two
+    vertices hardly differ in place, for then steps end with a small residual and the difference of these two wrong.
     """
 
     def __init__(self, surface: Surface, diagonal: Floats) -> None:
-        self.surface, self.debt = surface, 0
+        self.surface = surface
+        self.debt = FACTOR + 1 if _coupling(surface.stiffness, diagonal) > COUPLED else 0
         self.factor: Cholesky | None = None
         self.change(diagonal)
 
@@ -93,7 +96,7 @@ class System:
 
     def solve(self, right: Floats, x: Floats) -> None:
         """Moves x to the solution, or towards it as far as a sweep needs."""
-        if self.factor is None:
+        if self.factor is None and self.debt <= FACTOR:
             try:
                 self.debt += self.iteration.improve(right, x, REDUCTION, 5 * SOLVE) - SOLVE
             except NumericalError:  # a factor copes, or says what is wrong
@@ -101,8 +104,18 @@ class System:
             self.debt = max(self.debt, 0)
             if self.debt <= FACTOR:
                 return
+        if self.factor is None:
             self.factor = Cholesky(self.matrix, self.surface.operators.coordinates)
         self.factor.solve(right, out=x)
+
+
+def _coupling(stiffness: scipy.sparse.csr_array, diagonal: Floats) -> float:
+    """The largest entry beside the diagonal of ``L + D``, its diagonal scaled to 1."""
+    root = np.sqrt(np.maximum(stiffness.diagonal() + diagonal, 1e-300))
+    rows = np.repeat(np.arange(len(root)), np.diff(stiffness.indptr))
+    beside = np.flatnonzero(rows != stiffness.indices)
+    rows, columns = rows[beside], stiffness.indices[beside]
+    return float((np.abs(stiffness.data[beside]) / root[rows] / root[columns]).max(initial=0.0))
 
 
 def _edges(corners: Ints, sides: Floats, areas: Floats) -> tuple[Ints, Floats, Floats]:
