@@ -36,7 +36,9 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"beltrami {bt.__version__}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, entry in load_commands().items():
-        one = commands.add_parser(name, help=entry.summary, description=entry.summary[:1].upper() + entry.summary[1:] + ".")
+        one = commands.add_parser(
+            name, help=entry.summary, description=entry.summary[:1].upper() + entry.summary[1:] + ".", epilog="Defaults are in parentheses."
+        )
         one.add_argument("--threads", metavar="K", type=int, help="how many threads to use")
         entry.declare(one)
     return top

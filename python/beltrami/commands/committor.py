@@ -29,11 +29,14 @@ def _committor_options(parser: argparse.ArgumentParser) -> None:
         "--potential", default="potential", help="the array, column or field with the potential, or a file of its own (potential)"
     )
     parser.add_argument(
-        "--A", default="A", help="array, column, field or file that is not 0 in A, or holds its numbers; or ball:x,y,...,radius (A)"
+        "--A", default="A", help="an array, column, field or file that is nonzero in A or lists its points; or ball:x,y,...,radius (A)"
     )
     parser.add_argument("--B", default="B", help="the same for B (B)")
     parser.add_argument(
-        "--sampling", choices=("any", "gibbs", "weighted"), default="any", help="what is known of U: its values, or samples"
+        "--sampling",
+        choices=("any", "gibbs", "weighted"),
+        default="any",
+        help="what is known: the potential, or samples (any: the potential)",
     )
     parser.add_argument("--sample-beta", type=float, help="inverse temperature of the samples (--sampling gibbs)")
     parser.add_argument(

@@ -38,7 +38,7 @@ def _flow_options(parser: argparse.ArgumentParser) -> None:
     input_file(parser)
     look_options(parser)
     output_files(parser)
-    what = "a field of the file, a file of numbers, one per vertex, uniform, or vertex:K[:WIDTH], a bump (width .1, in roots of the area)"
+    what = "a field of the file; a file of numbers, one per vertex; uniform; or vertex:K[:WIDTH], a bump (WIDTH 0.1, times sqrt(area))"
     parser.add_argument("--from", dest="start", required=True, metavar="DENSITY", help=f"the density at time 0: {what}")
     parser.add_argument("--to", dest="end", metavar="DENSITY", help="the density at time 1")
     parser.add_argument("--intervals", type=int, default=32, help="how many intervals of time (32)")
@@ -129,7 +129,7 @@ def _game_options(parser: argparse.ArgumentParser) -> None:
         "--terminal",
         choices=("kullback_leibler", "quadratic"),
         default="kullback_leibler",
-        help="how the distance from --target is measured",
+        help="how the distance from --target is measured (kullback_leibler)",
     )
     parser.add_argument("--power", type=float, default=2.0, metavar="Q", help="moving costs the speed to this power, from 1.05 to 2 (2)")
 
