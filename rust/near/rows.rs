@@ -20,6 +20,8 @@ const QUERIES: usize = 128; // of a task
 const SIZES: [usize; 2] = [512, 32]; // of blocks and of their parts
 const ROUNDING: f64 = 1.0 + 1e-6; // more than that of a distance to a ball; for queries far from all points it is more than the slack
 const MANY: usize = 6000; // points; fewer are compared all
+const STRAYS: usize = 64; // points at most that lie so far from the others that rounding would hide all differences among these
+const FAR: f32 = 4.0; // times as far from the middle as all others
 
 /// Index and distance of the nearest point to each query; of equally near ones the one of least index.
 ///
@@ -57,19 +59,22 @@ pub fn nearest_rows(points: &[f64], dimension: usize, queries: &[f64], control: 
     // a power of two, so that nothing is rounded before the mean is taken off
     let scale = if most > 0.0 { 2f64.powi((-most.log2().floor()).clamp(-1022.0, 1022.0) as i32) } else { 1.0 };
     let tamed = tame(most);
-    let mean: Vec<f64> = (0..dimension)
-        .map(|axis| points[axis..].iter().step_by(dimension).map(|number| number * scale).sum::<f64>() / count as f64)
-        .collect();
+    let middle = middle(points, dimension, scale);
     let single = |rows: &[f64]| -> Vec<f32> {
         let mut found = Vec::with_capacity(rows.len());
         for row in rows.chunks_exact(dimension) {
-            found.extend(row.iter().zip(&mean).map(|(number, mean)| (number * scale - mean) as f32));
+            found.extend(row.iter().zip(&middle).map(|(number, middle)| (number * scale - middle) as f32));
         }
         found
     };
     let total = queries.len() / dimension;
-    let order = if count > MANY { blocks(&single(queries), dimension, &[QUERIES], control)? } else { (0..total as u32).collect() };
-    let table = Blocks::new(&single(points), dimension, control)?;
+    let mut order: Vec<u32> = (0..total as u32).collect();
+    if count > MANY {
+        blocks(&mut order, &single(queries), dimension, &[QUERIES], control)?;
+    }
+    let rows = single(points);
+    let (kept, strays) = strays(&rows, dimension);
+    let table = Blocks::new(&rows, dimension, &kept, control)?;
     // twice what rounding of the numbers, of the products and of the sum can come to
     let relative = 2.0 * (dimension + 8) as f64 * f64::from(f32::EPSILON);
     let done = AtomicUsize::new(0);
@@ -100,7 +105,8 @@ pub fn nearest_rows(points: &[f64], dimension: usize, queries: &[f64], control: 
                 .zip(least.iter().zip(&slack))
                 .map(|((query, near), (least, slack))| {
                     let mut best = (u32::MAX, f64::INFINITY);
-                    for (_, index) in near.into_iter().filter(|(value, _)| *value <= least + slack) {
+                    let near = near.into_iter().filter(|(value, _)| *value <= least + slack).map(|(_, index)| index);
+                    for index in near.chain(strays.iter().copied()) {
                         let point = &points[index as usize * dimension..][..dimension];
                         let square = squared_distance(point, query, tamed);
                         if square < best.1 || (square == best.1 && index < best.0) {
@@ -133,9 +139,13 @@ struct Blocks {
 }
 
 impl Blocks {
-    fn new(table: &[f32], dimension: usize, control: &Control) -> Result<Self> {
-        let count = table.len() / dimension;
-        let order = if count > MANY { blocks(table, dimension, &SIZES, control)? } else { (0..count as u32).collect() };
+    /// Of the rows `kept`.
+    fn new(table: &[f32], dimension: usize, kept: &[u32], control: &Control) -> Result<Self> {
+        let count = kept.len();
+        let mut order = kept.to_vec();
+        if count > MANY {
+            blocks(&mut order, table, dimension, &SIZES, control)?;
+        }
         let rows: Vec<f32> = gather(table, dimension, &order);
         let halves: Vec<f32> = rows.par_chunks_exact(dimension).map(|row| (norm(row).powi(2) / 2.0) as f32).collect();
         let longest = (2.0 * f64::from(halves.iter().fold(0.0, |most: f32, &half| most.max(half)))).sqrt();
@@ -294,8 +304,32 @@ fn product(a: &[f32], b: &[f32], dimension: usize, out: &mut [f32]) {
     matmul(MatMut::from_column_major_slice_mut(out, tall, wide), Accum::Replace, a, b, -1.0, Par::Seq);
 }
 
-/// Rows in an order in which those of a block, and in it of a part, are near each other: halves along the axis of greatest spread.
-fn blocks(table: &[f32], dimension: usize, sizes: &[usize], control: &Control) -> Result<Vec<u32>> {
+/// The median of a sample of the points on each axis: those far from the others do not move it as they do a mean.
+fn middle(points: &[f64], dimension: usize, scale: f64) -> Vec<f64> {
+    let step = (points.len() / dimension).div_ceil(1000) * dimension;
+    let median = |axis: usize| {
+        let mut values: Vec<f64> = points[axis..].iter().step_by(step).copied().collect();
+        let half = values.len() / 2;
+        *values.select_nth_unstable_by(half, f64::total_cmp).1 * scale
+    };
+    (0..dimension).map(median).collect()
+}
+
+/// The numbers of all rows but the strays, and of these.
+fn strays(rows: &[f32], dimension: usize) -> (Vec<u32>, Vec<u32>) {
+    let lengths: Vec<f32> = rows.par_chunks_exact(dimension).map(|row| norm(row) as f32).collect();
+    let all = 0..lengths.len() as u32;
+    if lengths.len() <= MANY {
+        return (all.collect(), Vec::new());
+    }
+    let mut sorted = lengths.clone();
+    let place = lengths.len() - 1 - STRAYS;
+    let bound = FAR * *sorted.select_nth_unstable_by(place, f32::total_cmp).1;
+    all.partition(|&row| lengths[row as usize] <= bound)
+}
+
+/// Sorts rows so that those of a block, and in it of a part, are near each other: halves along the axis of greatest spread.
+fn blocks(order: &mut [u32], table: &[f32], dimension: usize, sizes: &[usize], control: &Control) -> Result<()> {
     fn halve(part: &mut [u32], table: &[f32], dimension: usize, sizes: &[usize], control: &Control) -> Result<()> {
         let Some(size) = sizes.iter().find(|&&size| size < part.len()) else { return Ok(()) };
         control.check()?;
@@ -318,9 +352,7 @@ fn blocks(table: &[f32], dimension: usize, sizes: &[usize], control: &Control) -
         let (one, other) = rayon::join(|| halve(low, table, dimension, sizes, control), || halve(high, table, dimension, sizes, control));
         one.and(other)
     }
-    let mut order: Vec<u32> = (0..(table.len() / dimension) as u32).collect();
-    halve(&mut order, table, dimension, sizes, control)?;
-    Ok(order)
+    halve(order, table, dimension, sizes, control)
 }
 
 fn norm(row: &[f32]) -> f64 {
