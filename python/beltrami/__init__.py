@@ -1,4 +1,4 @@
-"""Intrinsic computing on triangle meshes and point clouds, with answers that certify themselves.
+"""Intrinsic computing on triangle meshes and point clouds, with certified answers.
 
 ``import beltrami as bt``; every name below is documented where it is defined.
 """
