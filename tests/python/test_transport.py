@@ -342,6 +342,25 @@ def test_the_potential_is_the_gradient_of_the_terminal_cost() -> None:
     np.testing.assert_allclose(end - end.mean(), pull - pull.mean(), atol=0.02 * spread)
 
 
+def test_caps_with_a_number_at_each_vertex() -> None:
+    """They were compared with None as a whole, which no array allows; and behind walls where nobody may be no path was finite."""
+    a, b = pair(sharp=1.5)
+    cap = np.where(SPHERE.vertices[:, 1] > 0.5, 1.02, 10.0) * max(a.max(), b.max())
+    r = bt.mean_field_game(SPHERE, a, b, intervals=6, running_cost=bt.costs.density_cap(cap))
+    assert r.converged
+    judge(SPHERE, r, a, b)
+    assert (r.density <= cap * (1 + 1e-12)).all()
+    grid = bt.shapes.grid(17, 17)
+    x, y = grid.vertices[:, 0], grid.vertices[:, 1]
+    wall = (np.abs(x - 0.5) < 0.1) & (y < 0.7)
+    start, end = (unit(grid, np.where(wall, 0.0, np.exp(-30 * ((x - c) ** 2 + (y - 0.3) ** 2)) + 0.01)) for c in (0.2, 0.8))
+    round_it = bt.mean_field_game(grid, start, end, intervals=6, running_cost=bt.costs.density_cap(np.where(wall, 0.0, 50.0)))
+    judge(grid, round_it, start, end)
+    assert round_it.gap < 0.03
+    assert round_it.density[:, wall].max() < 1e-8 * round_it.density.max()
+    assert round_it.kinetic > 1.2 * bt.transport(grid, start, end, intervals=6).cost
+
+
 def test_caps_potentials_and_custom_costs() -> None:
     a, b = pair(sharp=1.5)
     low = bt.mean_field_game(SPHERE, a, b, intervals=6, tolerance=1e-4)
@@ -544,6 +563,9 @@ def test_games_refuse_what_does_not_fit() -> None:
         ("room for a mass", {"running_cost": costs.density_cap(1e-3)}),
         ("above the cap", {"running_cost": costs.density_cap(0.9 * a.max())}),
         ("came back as", {"running_cost": costs.custom(lambda p: "x", lambda p: p)}),
+        ("not finite", {"running_cost": costs.custom(lambda p: p * np.nan, lambda p: p)}),
+        ("not finite", {"terminal_cost": costs.custom(lambda p: p, lambda p: p * np.inf)}),
+        ("not convex", {"running_cost": costs.custom(lambda p: -(p**2), lambda p: -2 * p)}),
     ]
     for message, options in bad:
         with pytest.raises(bt.InputError, match=message):

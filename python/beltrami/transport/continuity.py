@@ -24,6 +24,7 @@ from ..simplices import hat_gradients, simplices
 from ..solvers import PoissonSolver
 from ..sums import weighted_sum
 
+NOBODY = 1e-9  # density, where the mass is 1, that stands for none: nothing could be moved through triangles without any
 END = 2.0  # times the number of intervals: what a free end weighs in the projection
 RATIO = 0.5  # of the dual to the primal step, in the metric of the density
 NONNEGATIVE = 0.3  # κ: weight of the vertices' own block, which keeps the density from being negative and holds the costs
@@ -145,7 +146,7 @@ class _InUnits(Cost):
 
     def __init__(self, cost: Cost, density: float, value: float) -> None:
         self.cost, self.density, self.unit = cost, density, value
-        self.upper = None if cost.upper is None else np.asarray(cost.upper) / density
+        self.upper = None if cost.upper is None else np.maximum(np.asarray(cost.upper) / density, NOBODY)
         self.superlinear = cost.superlinear
 
     def value(self, density: Floats) -> Floats:
@@ -494,7 +495,7 @@ class Model:
     def _within(self, slices: Floats) -> Floats:
         """Moved below the largest density allowed, with the same mass."""
         caps = [None if cost is None or cost.upper is None else cost.upper for cost in (self.running, self.last)]
-        if caps == [None, None]:
+        if caps[0] is None and caps[1] is None:
             return slices
         upper = np.full(slices.shape, np.inf)
         if caps[0] is not None:

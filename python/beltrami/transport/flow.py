@@ -259,7 +259,7 @@ def flow_fields(problem: Problem, certificate: Certificate, iterations: int, tol
     history = {name: column * unit for name, column, unit in zip(names, steps, units, strict=True)}
     scale = max(abs(objective), abs(certificate.lower), 1e-14)
     lower = min(certificate.lower, objective)
-    gap = (objective - lower) / scale
+    gap = (objective - lower) / scale if np.isfinite(scale) else np.inf
     fields = {
         "shape": surface.operators.shape,
         "density": density,

@@ -50,12 +50,22 @@ class MeanFieldGameResult(Flow):
         return f"MeanFieldGameResult(objective {self.objective:.6g}, gap {self.gap:.1e} after {self.iterations} iterations{state})"
 
 
-def _cost(value: object, name: str, count: int) -> Cost | None:
+def _cost(value: object, name: str, count: int, density: Floats) -> Cost | None:
     if value is None:
         return None
     if not isinstance(value, Cost):
         raise InputError(f"{name} is a {type(value).__name__}; make one with bt.costs, e.g. bt.costs.congestion(2.0)")
     value.check(count)
+    there = density > 0
+    with np.errstate(all="ignore"):
+        worth, slope, steeper = (
+            np.asarray(x)[there] for x in (value.value(density), value.derivative(density), value.derivative(2 * density))
+        )
+    for numbers, what in ((worth, "value"), (slope, "derivative")):
+        if not np.isfinite(numbers).all():
+            raise InputError(f"the {what} of {name} is not finite where the density is that of the start")
+    if (steeper < slope - 1e-6 * np.abs(slope)).any():
+        raise InputError(f"{name} is not convex: its derivative falls where the density grows from that of the start to twice as much")
     return value
 
 
@@ -150,7 +160,9 @@ def mean_field_game(
     if density1 is not None:
         given = [start, density_in(surface, density1, "density1")]
         start, end = balanced(surface, given, ("density0", "density1"), normalize)
-    running, terminal = _cost(running_cost, "running_cost", surface.count), _cost(terminal_cost, "terminal_cost", surface.count)
+    running, terminal = (
+        _cost(cost, name, surface.count, start) for cost, name in ((running_cost, "running_cost"), (terminal_cost, "terminal_cost"))
+    )
     if end is not None and terminal is not None:
         raise InputError("density1 and terminal_cost are both given; the end is either fixed or free, so leave one out")
     if lagrangian is None:
