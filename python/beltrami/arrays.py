@@ -150,8 +150,10 @@ def number(value: Any, name: str, above: float | None = None, least: float | Non
     except OverflowError:
         raise InputError(f"{name} is beyond the range of float64; give a smaller number") from None
     if not np.isfinite(result) or (above is not None and result <= above) or (least is not None and result < least):
-        bound = "finite" if above is None and least is None else f"above {above:g}" if above is not None else f"at least {least:g}"
-        raise InputError(f"{name} is {result:g}; it must be {bound}")
+        bounds = [] if np.isfinite(result) else ["finite"]
+        bounds += [] if above is None else [f"above {above:g}"]
+        bounds += [] if least is None else [f"at least {least:g}"]
+        raise InputError(f"{name} is {result:g}; it must be {' and '.join(bounds)}")
     return result
 
 

@@ -376,3 +376,9 @@ def test_nearest_rows_with_strays(dimension):
     assert indices.tolist() == expected.tolist()
     assert indices[24] == 5  # of equally near ones the first
     assert distances == pytest.approx(np.sqrt(squares.min(1)), rel=1e-12)
+
+
+@pytest.mark.parametrize(("radius", "needed"), [(np.inf, "finite and at least 0"), (-1.0, "at least 0"), (np.nan, "finite and at least 0")])
+def test_numbers_out_of_range_are_told_so(radius, needed):
+    with pytest.raises(bt.InputError, match=f"it must be {needed}$"):
+        bt.neighbors_within([[0.0]], [[0.0]], radius)
