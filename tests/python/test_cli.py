@@ -166,6 +166,8 @@ def test_distances_know_the_examples_and_say_where_nothing_can_be_written(tmp_pa
     out = tmp_path / "folder" / "distances.csv" / "below_a_file.npz"
     assert main(["distances", "example:spot", "example:bob", "--method", "shape_dna", "-o", str(out)]) == 2
     assert capsys.readouterr().err.count("cannot be written") == 1
+    assert main(["distances", "example:spot"]) == 2
+    assert "two files" in capsys.readouterr().err
 
 
 def test_clouds_of_other_dimensions(tmp_path, capsys):

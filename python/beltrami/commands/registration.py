@@ -181,6 +181,8 @@ def _distances_options(parser: argparse.ArgumentParser) -> None:
 @command("distances", "the distances between all pairs of shapes, as a matrix, a map or a tree", _distances_options)
 def distances(options: Options) -> int:
     check_outputs(options, (".npz", ".csv", ".png"), "distances")
+    if len(options.files) < 2:
+        raise InputError(f"{options.files[0]} is the only shape; distances are between shapes: give two files or more")
     workers = arrays.whole(options.processes, "--processes", 0, 4096)
     executor = concurrent.futures.ProcessPoolExecutor(workers) if workers else None
     try:
