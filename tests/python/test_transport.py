@@ -361,6 +361,16 @@ def test_caps_with_a_number_at_each_vertex() -> None:
     assert round_it.kinetic > 1.2 * bt.transport(grid, start, end, intervals=6).cost
 
 
+def test_a_capped_end_is_certified() -> None:
+    """The bound was that of an end without a cap: zero, for nothing has to move."""
+    a, _ = pair()
+    r = bt.mean_field_game(SPHERE, a, intervals=6, terminal_cost=bt.costs.density_cap(0.6 * a.max()))
+    judge(SPHERE, r, a)
+    assert r.converged
+    assert 0 < r.lower_bound <= r.objective
+    assert r.density[-1].max() <= 0.6 * a.max() * (1 + 1e-12)
+
+
 def test_caps_potentials_and_custom_costs() -> None:
     a, b = pair(sharp=1.5)
     low = bt.mean_field_game(SPHERE, a, b, intervals=6, tolerance=1e-4)

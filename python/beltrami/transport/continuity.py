@@ -6,7 +6,8 @@ a frame of each element."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -352,6 +353,14 @@ class Model:
         """The least cost for players who pay ``limit`` at each inner slice and ``last`` at the end, from below, and the potential that
         proves it."""
         best, proof = -np.inf, potential
+        for phi in self.repaired(potential, limit, last):
+            value = self.boundary(phi, self.hamiltonian(phi), last)
+            if np.isfinite(value) and value > best and np.abs(phi).max() < 1e100:
+                best, proof = value, phi.copy()
+        return best, proof
+
+    def repaired(self, potential: Floats, limit: Floats, last: Floats | None) -> Iterator[Floats]:
+        """Potentials near this one that satisfy the Hamilton-Jacobi inequality inside."""
         candidates = np.empty((len(REPAIRS) * self.n, self.surface.count))
         for backward in (False, True):
             given = -potential[::-1] if backward else potential
@@ -364,12 +373,8 @@ class Model:
             self.domain.repairs(*arguments, candidates)
             for candidate in candidates.reshape(len(REPAIRS), self.n, -1):
                 phi = -candidate[::-1] if backward else candidate
-                if not np.isfinite(phi).all():  # steep slopes on slivers, squared at each slice, overflow
-                    continue
-                value = self.boundary(phi, self.hamiltonian(np.ascontiguousarray(phi)), last)
-                if np.isfinite(value) and value > best and np.abs(phi).max() < 1e100:
-                    best, proof = value, phi.copy()
-        return best, proof
+                if np.isfinite(phi).all():  # steep slopes on slivers, squared at each slice, overflow
+                    yield np.ascontiguousarray(phi)
 
     def soft_bound(self, potential: Floats, *, inner: bool) -> float:
         """The bound by the conjugates of superlinear costs. ``inner=False``: the potential satisfies the inequality inside already."""
@@ -440,7 +445,9 @@ class Model:
         if self.running is not None and self.running.superlinear:
             candidates = [(self.soft_bound(phi, inner=True), phi) for phi in (potential, proof)]
         elif self.last is not None and self.last.superlinear:
-            candidates = [(self.soft_bound(proof, inner=False), proof)]
+            forward = itertools.islice(self.repaired(potential, *self.slopes(density)), len(REPAIRS))
+            inside = [proof, *(phi.copy() for phi in forward)]
+            candidates = [(self.soft_bound(phi, inner=False), phi) for phi in inside if np.abs(phi).max() < 1e100]
         for value, phi in candidates:
             if value + self.start_standing() > best:
                 best, proof = value + self.start_standing(), phi

@@ -136,7 +136,8 @@ def mean_field_game(
     Raises
     ------
     InputError
-        As for :func:`transport`; or a cost does not fit the shape, a density is above its cap, or the cap leaves no room for the mass.
+        As for :func:`transport`; or a cost does not fit the shape, is not finite or not convex, a density is above its cap, or the cap
+        leaves no room for the mass.
 
     References
     ----------
