@@ -548,12 +548,35 @@ def test_refusals_say_what_and_where() -> None:
             bt.committor(mesh, np.zeros(81), left, right, beta=1.0, **options)  # type: ignore[arg-type]
 
 
-def test_barriers_beyond_double_precision_are_an_error() -> None:
-    """A third well so deep that nothing leaves it: q inside is 0 / 0 in double precision."""
+def test_a_well_that_nothing_leaves_in_double_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    """exp(-200) of its conduction leads out of the third well; q in it was refused as lost."""
     x, _, a, b = strip(16, 21)
     u = 200.0 * (1 - np.exp(-8 * (x[:, 0] ** 2 + x[:, 1] ** 2)))
+    r, back = (bt.committor(bt.PointCloud(x), u, *sets, beta=1.0) for sets in ((a, b), (b, a)))
+    inside = u < 100
+    assert np.ptp(r.q[inside]) < 1e-12
+    assert r.q[inside][0] == pytest.approx(0.5, abs=0.02)
+    assert r.q + back.q == pytest.approx(1.0, abs=1e-10)
+    monkeypatch.setattr(solve, "WELLS", 0)
     with pytest.raises(bt.NumericalError, match="barriers around the well at point"):
         bt.committor(bt.PointCloud(x), u, a, b, beta=1.0)
+
+
+@pytest.mark.parametrize("beta", [10.0, 20.0, 40.0, 60.0])
+def test_two_wells_on_the_way(beta):
+    """Against the integral of exp(β U): from barriers of some 15 kT on it was refused."""
+    mesh = bt.shapes.grid(321, 7)
+    plane = mesh.vertices[:, :2]
+    plane = (plane - plane.min(0)) / np.ptp(plane, axis=0) * [3.0, 0.1]
+    x = plane[:, 0]
+    r = bt.committor(bt.TriangleMesh(plane, mesh.faces), np.sin(np.pi * x) ** 2, x < 0.02, x > 2.98, beta=beta)
+    t = np.linspace(0.02, 2.98, 200_001)
+    heights = np.exp(beta * (np.sin(np.pi * t) ** 2 - 1))
+    below = np.concatenate([[0], np.cumsum((heights[1:] + heights[:-1]) / 2)])
+    assert r.q == pytest.approx(np.interp(x, t, below / below[-1]), abs=1e-6)
+    weights = np.exp(-beta * np.sin(np.pi * np.linspace(0, 3, 300_001)) ** 2)
+    exact = np.exp(-beta) / (beta * weights.sum() * 1e-5 * below[-1] * (t[1] - t[0]))
+    assert r.rate == pytest.approx(exact, rel=1e-4)
 
 
 def test_progress_and_cancelling() -> None:

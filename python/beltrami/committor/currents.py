@@ -44,7 +44,7 @@ def passage_time(system: System, which: int) -> Floats:
     others, share = free[~deepest[free]], deepest.astype(float)
     try:
         if len(others):
-            share[others], reach[others] = reached_first(matrix, others, (members, deepest), mesh.points, None, load)
+            _, share[others], reach[others] = reached_first(matrix, others, (members, deepest), mesh.points, None, load)
     except (TooDeep, NumericalError) as error:
         raise NumericalError(
             f"barriers on the way to {'AB'[which]} are too high for double precision, the mean times to it are lost: take a smaller beta"

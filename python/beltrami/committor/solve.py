@@ -30,6 +30,7 @@ DAMPING = 0.7  # of Jacobi's smoothing
 FEW = 10_000  # unknowns
 RESTART = 60  # directions of GMRES that are kept
 EXACT = 1e-12  # how great a share of the right side may be left of unsymmetric systems
+WELLS = 16  # beside A and B, at most, that are too deep for double precision
 LOST = 1e-6  # how far the two committors' sum may be from 1
 
 
@@ -132,14 +133,15 @@ def _solve(mesh: Elements, sets: tuple[Mask, Mask], report: Any) -> tuple[Floats
     q = b.astype(float)
     if len(free):
         matrix = weighted.laplacian(len(mesh.points), mesh.first, mesh.second, conductance)
-        q[free] = reached_first(matrix, free, (a, b), mesh.points, report)[0]
+        q[free] = _by_way_of_wells(matrix, free, (a, b), mesh, report)
     return q, weights, outside
 
 
-def reached_first(matrix: Any, free: Longs, sets: tuple[Mask, Mask], places: Floats, report: Any, load: Floats | None = None) -> Floats:
-    """Of a symmetric ``matrix`` with row sums 0, at the nodes ``free``: the solution that is 0 in one set and 1 in the other, (1, k).
+def reached_first(matrix: Any, free: Longs, sets: tuple[Mask, ...], places: Floats, report: Any, load: Floats | None = None) -> Floats:
+    """Of a symmetric ``matrix`` with row sums 0, at the nodes ``free``: the solutions that are 1 in one of the sets and 0 in the others.
 
-    All that the matrix joins to these nodes is in one of the sets. A ``load`` (nodes) has a second row: its solution, 0 in both sets.
+    (sets, k). All that the matrix joins to these nodes is in one of the sets. A ``load`` (nodes) has a further row: its solution, 0 in
+    all sets.
     """
     rows = matrix[free]
     inner = rows[:, free]
@@ -152,14 +154,57 @@ def reached_first(matrix: Any, free: Longs, sets: tuple[Mask, Mask], places: Flo
     right = -(rows @ np.stack(sets, 1).astype(float))
     if load is not None:
         right = np.column_stack([right, load[free]])
-    # of both sets at once: their sum is 1 but for rounding, which division takes off, and which says what is left of the share
+    # of all sets at once: their sum is 1 but for rounding, which division takes off, and which says what is left of the shares
     found = factor.solve(right * scale[:, None]) * scale[:, None]
-    total = found[:, 0] + found[:, 1]
+    total = found[:, : len(sets)].sum(1)
     lost = np.abs(total - 1)
     if not lost.max() <= LOST:
-        raise TooDeep(int(free[np.argmax(np.nan_to_num(lost, nan=np.inf))]))
-    found[:, 1] /= total
-    return np.asarray(found[:, 1:].T, float)
+        raise TooDeep(free[~(lost <= 0.5 * np.nanmax(np.append(lost, 0.0)))])
+    found[:, : len(sets)] /= total[:, None]
+    return np.asarray(found.T, float)
+
+
+def _by_way_of_wells(matrix: Any, free: Longs, sets: tuple[Mask, Mask], mesh: Elements, report: Any) -> Floats:
+    """q at the nodes ``free``; where deep wells beside the sets lose it in rounding, by way of a node in each of these.
+
+    From anywhere else it is reached in double precision which of A, B and these nodes comes first; and among these there is a chain of
+    jumps, whose states are eliminated one by one without a subtraction (Grassmann, Taksar and Heyman 1985).
+    """
+    wells: list[int] = []
+    while True:
+        rest = free[~np.isin(free, wells)]
+        groups = (*sets, *(np.arange(len(mesh.points)) == well for well in wells))
+        try:
+            found = reached_first(matrix, rest, groups, mesh.points, report)
+            break
+        except (TooDeep, NumericalError) as error:
+            lost = error.args[0] if isinstance(error, TooDeep) else rest
+            entries = matrix.tocoo()
+            apart = entries.row != entries.col
+            if len(wells) == WELLS or len(lost) == 0 or (entries.data > 1e-10 * matrix.diagonal()[entries.row])[apart].any():
+                raise  # an edge that conducts less than nothing is another cause
+            wells.append(int(lost[np.argmin(mesh.potential[lost])]))
+    if not wells:
+        return np.asarray(found[1])
+    shares = np.stack([group.astype(float) for group in groups])
+    shares[:, rest] = found
+    flux = np.maximum(-(matrix[wells] @ shares.T), 0)  # from each well to each group; no terms of both signs but to itself
+    states = list(range(2, len(groups)))
+    flux = np.vstack([np.zeros((2, len(groups))), flux])
+    for place, state in enumerate(states):
+        later = [0, 1, *states[place + 1 :]]
+        leaving = flux[state, later].sum()
+        if not leaving > 0:
+            raise TooDeep(np.array(wells[place : place + 1]))
+        flux[state, later] /= leaving
+        for other in states[place + 1 :]:
+            flux[other, later] += flux[other, state] * flux[state, later]
+    heights = np.zeros(len(groups))
+    heights[1] = 1.0
+    for place, state in reversed(list(enumerate(states))):
+        later = [0, 1, *states[place + 1 :]]
+        heights[state] = (flux[state, later] * heights[later]).sum()
+    return np.asarray((heights[:, None] * shares).sum(0)[free])
 
 
 class TooDeep(Exception):
@@ -206,7 +251,8 @@ def weak_form(
         return System(mesh, ops, count, tuple(parents), sets, outside, weights, np.clip(q, 0, 1), beta)
     # What is left once no conduction is negative is rounding: a well whose way out is lost beside its own conduction.
     outside = np.where(members[0] | members[1], np.inf, u)
-    deepest = last.args[0] if isinstance(last, TooDeep) and last.args[0] < count else int(np.argmin(outside))
+    lost = last.args[0][last.args[0] < count] if isinstance(last, TooDeep) else np.zeros(0, np.int64)
+    deepest = int(lost[np.argmin(outside[lost])]) if len(lost) else int(np.argmin(outside))
     raise NumericalError(
         f"barriers around the well at point {deepest} are too high for double precision, q is lost there: take a smaller beta, or count "
         "the well to A or B"
