@@ -361,6 +361,14 @@ def test_caps_with_a_number_at_each_vertex() -> None:
     assert round_it.kinetic > 1.2 * bt.transport(grid, start, end, intervals=6).cost
 
 
+def test_progress_ends_at_one() -> None:
+    a, b = pair()
+    seen: list[float] = []
+    assert bt.transport(SPHERE, a, b, intervals=4, progress=seen.append).converged
+    assert seen[-1] == 1.0
+    assert (np.diff(seen) >= 0).all()
+
+
 def test_a_capped_end_is_certified() -> None:
     """The bound was that of an end without a cap: zero, for nothing has to move."""
     a, _ = pair()

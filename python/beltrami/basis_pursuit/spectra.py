@@ -221,6 +221,7 @@ def match_spectrum(
         if not moved:
             break
     pairs = conformal_eigenpairs(ops, eta, k, start=functions[:, :k])
+    report(1.0)
     error = float(np.abs(pairs.values[1:] / wanted[1:] - 1).max())
     return SpectrumMatch(eta, pairs, wanted.copy(), error, {"objective": np.array(history)}, error <= tolerance)
 

@@ -883,6 +883,7 @@ def solve(problem: Problem, method: str, tolerance: float, most: int, watch: Cal
         if iteration == stop:
             certificate.look(run.state(), iteration, tolerance)
             if certificate.gap <= tolerance:
+                watch(certificate.gap, iteration / most)
                 break
             stop = min(next_look(certificate.history, tolerance), most)
         watch(min(certificate.gap, 1.0), iteration / most)
