@@ -579,6 +579,22 @@ def test_two_wells_on_the_way(beta):
     assert r.rate == pytest.approx(exact, rel=1e-4)
 
 
+@pytest.mark.parametrize("beta", [30.0, 100.0, 300.0])
+def test_wells_of_all_depths_on_the_way(beta):
+    mesh = bt.shapes.grid(601, 4)
+    plane = mesh.vertices[:, :2]
+    plane = (plane - plane.min(0)) / np.ptp(plane, axis=0) * [3.0, 0.02]
+    rng = np.random.default_rng(7)
+    waves, phases, heights = rng.uniform(2, 12, 4), rng.uniform(0, 6, 4), rng.normal(size=4)
+    x, t = plane[:, 0], np.linspace(0.045, 2.955, 400_001)
+    u, along = ((heights[:, None] * np.sin(np.multiply.outer(waves, at) + phases[:, None])).sum(0) for at in (x, t))
+    u, along = beta * u / np.ptp(u), beta * along / np.ptp(u)
+    r = bt.committor(bt.TriangleMesh(plane, mesh.faces), u, x < 0.0499, x > 2.9501, beta=1.0)
+    weights = np.exp(along - along.max())
+    below = np.concatenate([[0], np.cumsum((weights[1:] + weights[:-1]) / 2)])
+    assert r.q == pytest.approx(np.interp(x, t, below / below[-1]), abs=1e-5)
+
+
 def test_progress_and_cancelling() -> None:
     x, u, a, b = strip(16, 22)
     shares: list[float] = []

@@ -30,7 +30,8 @@ DAMPING = 0.7  # of Jacobi's smoothing
 FEW = 10_000  # unknowns
 RESTART = 60  # directions of GMRES that are kept
 EXACT = 1e-12  # how great a share of the right side may be left of unsymmetric systems
-WELLS = 16  # beside A and B, at most, that are too deep for double precision
+WELLS = 32  # beside A and B, at most, that are too deep for double precision
+DEEP = 8.0  # kT: the least depth of those
 LOST = 1e-6  # how far the two committors' sum may be from 1
 
 
@@ -159,7 +160,7 @@ def reached_first(matrix: Any, free: Longs, sets: tuple[Mask, ...], places: Floa
     total = found[:, : len(sets)].sum(1)
     lost = np.abs(total - 1)
     if not lost.max() <= LOST:
-        raise TooDeep(free[~(lost <= 0.5 * np.nanmax(np.append(lost, 0.0)))])
+        raise TooDeep(int(free[np.argmax(np.nan_to_num(lost, nan=np.inf))]))
     found[:, : len(sets)] /= total[:, None]
     return np.asarray(found.T, float)
 
@@ -170,24 +171,19 @@ def _by_way_of_wells(matrix: Any, free: Longs, sets: tuple[Mask, Mask], mesh: El
     From anywhere else it is reached in double precision which of A, B and these nodes comes first; and among these there is a chain of
     jumps, whose states are eliminated one by one without a subtraction (Grassmann, Taksar and Heyman 1985).
     """
-    wells: list[int] = []
-    while True:
-        rest = free[~np.isin(free, wells)]
-        groups = (*sets, *(np.arange(len(mesh.points)) == well for well in wells))
-        try:
-            found = reached_first(matrix, rest, groups, mesh.points, report)
-            break
-        except (TooDeep, NumericalError) as error:
-            lost = error.args[0] if isinstance(error, TooDeep) else rest
-            entries = matrix.tocoo()
-            apart = entries.row != entries.col
-            if len(wells) == WELLS or len(lost) == 0 or (entries.data > 1e-10 * matrix.diagonal()[entries.row])[apart].any():
-                raise  # an edge that conducts less than nothing is another cause
-            wells.append(int(lost[np.argmin(mesh.potential[lost])]))
-    if not wells:
-        return np.asarray(found[1])
+    try:
+        return np.asarray(reached_first(matrix, free, sets, mesh.points, report)[1])
+    except (TooDeep, NumericalError):
+        entries = matrix.tocoo()
+        if (entries.data > 1e-10 * matrix.diagonal()[entries.row])[entries.row != entries.col].any():
+            raise  # an edge that conducts less than nothing is another cause
+        wells = _wells(mesh, sets)
+        if not wells:
+            raise
+    groups = (*sets, *(np.arange(len(mesh.points)) == well for well in wells))
+    rest = free[~np.isin(free, wells)]
     shares = np.stack([group.astype(float) for group in groups])
-    shares[:, rest] = found
+    shares[:, rest] = reached_first(matrix, rest, groups, mesh.points, report)
     flux = np.maximum(-(matrix[wells] @ shares.T), 0)  # from each well to each group; no terms of both signs but to itself
     states = list(range(2, len(groups)))
     flux = np.vstack([np.zeros((2, len(groups))), flux])
@@ -195,7 +191,7 @@ def _by_way_of_wells(matrix: Any, free: Longs, sets: tuple[Mask, Mask], mesh: El
         later = [0, 1, *states[place + 1 :]]
         leaving = flux[state, later].sum()
         if not leaving > 0:
-            raise TooDeep(np.array(wells[place : place + 1]))
+            raise TooDeep(wells[place])
         flux[state, later] /= leaving
         for other in states[place + 1 :]:
             flux[other, later] += flux[other, state] * flux[state, later]
@@ -205,6 +201,39 @@ def _by_way_of_wells(matrix: Any, free: Longs, sets: tuple[Mask, Mask], mesh: El
         later = [0, 1, *states[place + 1 :]]
         heights[state] = (flux[state, later] * heights[later]).sum()
     return np.asarray((heights[:, None] * shares).sum(0)[free])
+
+
+def _wells(mesh: Elements, sets: tuple[Mask, Mask]) -> list[int]:
+    """The lowest nodes of wells of U beside the sets from which the way to a deeper well or a set leads over more than ``DEEP``."""
+    height = np.where(sets[0] | sets[1], -np.inf, mesh.potential)
+    ends, others = np.concatenate([mesh.first, mesh.second]), np.concatenate([mesh.second, mesh.first])
+    order = np.lexsort((others, height[others], ends))
+    nodes, at = np.unique(ends[order], return_index=True)
+    lowest, lower = others[order][at], np.arange(len(height))
+    down = (height[lowest] < height[nodes]) | ((height[lowest] == height[nodes]) & (lowest < nodes))
+    lower[nodes[down]] = lowest[down]
+    while (lower[lower] != lower).any():
+        lower = lower[lower]
+    passes = np.stack([lower[mesh.first], lower[mesh.second]], 1)
+    over = np.maximum(height[mesh.first], height[mesh.second])
+    order = np.flatnonzero(passes[:, 0] != passes[:, 1])
+    order = order[np.argsort(over[order], kind="stable")]
+    into: dict[int, int] = {}  # the deeper well that one has merged with
+    depths: list[tuple[float, int]] = []
+
+    def bottom(well: int) -> int:
+        while well in into:
+            into[well] = into.get(into[well], into[well])
+            well = into[well]
+        return well
+
+    for (one, other), rim in zip(passes[order].tolist(), over[order].tolist(), strict=True):
+        deep, shallow = sorted((bottom(one), bottom(other)), key=lambda well: (height[well], well))
+        if deep != shallow:
+            into[shallow] = deep
+            if height[shallow] > -np.inf:
+                depths.append((rim - float(height[shallow]), shallow))
+    return [well for depth, well in sorted(depths, reverse=True)[:WELLS] if depth > DEEP]
 
 
 class TooDeep(Exception):
@@ -251,8 +280,7 @@ def weak_form(
         return System(mesh, ops, count, tuple(parents), sets, outside, weights, np.clip(q, 0, 1), beta)
     # What is left once no conduction is negative is rounding: a well whose way out is lost beside its own conduction.
     outside = np.where(members[0] | members[1], np.inf, u)
-    lost = last.args[0][last.args[0] < count] if isinstance(last, TooDeep) else np.zeros(0, np.int64)
-    deepest = int(lost[np.argmin(outside[lost])]) if len(lost) else int(np.argmin(outside))
+    deepest = last.args[0] if isinstance(last, TooDeep) and last.args[0] < count else int(np.argmin(outside))
     raise NumericalError(
         f"barriers around the well at point {deepest} are too high for double precision, q is lost there: take a smaller beta, or count "
         "the well to A or B"
