@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from .arrays import Floats
 
@@ -22,3 +25,9 @@ def rows_times(rows: Floats, matrix: Floats) -> Floats:
     for start in range(0, len(rows), step):
         found[start : start + step] = rows[start : start + step] @ matrix
     return found
+
+
+def gathered(owner: npt.NDArray[Any], weights: Floats, count: int) -> Floats:
+    """Sums of weights by owner."""
+    sums: Floats = np.bincount(owner, weights=weights, minlength=count).astype(np.float64)
+    return sums

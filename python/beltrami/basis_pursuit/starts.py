@@ -18,6 +18,7 @@ from ..sampling import farthest_points
 from ..shapes import TriangleMesh
 from ..solvers import Cholesky, plus_diagonal
 from . import limbs
+from .curvature import paired_by_curvature
 from .limbs import Sphered
 from .surface import Indices, Surface, nearest_rows
 
@@ -214,6 +215,8 @@ def _spherical_starts(
             spread = np.asarray(farthest_points(task.source.points, 12), np.int64)
             images = nearest_rows(b.sphere, turned.positions[spread])
             choices = [limbs.distinct(np.concatenate([task.marks, np.stack([spread, images], 1)]))]
+        if not len(task.marks) and task.tables is None:
+            choices.append(paired_by_curvature(a, b))
         made = [one for marks in choices if len(marks) >= 3 for one in _from_marks(task, a, b, marks, name)]
         trusted = len(task.marks) >= 3 or task.tables is not None
         # Landmarks too few, or off the limbs of shapes that are not conformal: guesses at the tips that go with them.

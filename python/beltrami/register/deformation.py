@@ -8,7 +8,8 @@ import scipy
 from .. import _core, arrays
 from ..arrays import Floats, Ints
 from ..solvers import Cholesky
-from .sides import Side, gathered, vertex_normals
+from ..sums import gathered
+from .sides import Side, vertex_normals
 
 
 class Rigid:

@@ -21,6 +21,7 @@ from ..operators import Operators, operators
 from ..sampling import farthest_points
 from ..shapes import PointCloud, Shape, TriangleMesh
 from ..solvers import Cholesky
+from ..sums import gathered
 
 MODES = 120  # eigenfunctions after the constant
 TENSOR = 30  # of them in triple products
@@ -194,12 +195,6 @@ def spectral_gap(source: Side, target: Side) -> float:
     floor = 1e-9 * max(source.values[-1], target.values[-1])
     first, second = (np.log(np.maximum(side.values[:count], floor)) for side in (source, target))
     return float(abs(first - second).mean())
-
-
-def gathered(owner: npt.NDArray[Any], weights: Floats, count: int) -> Floats:
-    """Sums of weights by owner."""
-    sums: Floats = np.bincount(owner, weights=weights, minlength=count).astype(np.float64)
-    return sums
 
 
 def _standard(values: Floats, mass: Floats) -> Floats:
