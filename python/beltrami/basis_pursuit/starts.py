@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -28,6 +28,7 @@ BLUR = 0.01  # share of the area over which the factor of a map is averaged
 COARSE_BLUR = 0.3  # the same for the weights of upsampling, where only the factor's main course matters
 CONFORMAL = 0.02  # logarithmic misfit of the landmarks' cross-ratios below which two shapes count as conformal
 INVARIANT = 0.1  # the same for potentials on shapes of any topology, which feel the mesh around each landmark
+UNEVEN = 15.0  # roughness of the factor up to which two shapes may be nearly isometric
 SMOOTH = 100.0  # roughness of the factor from which a map is so poor that other guesses are worth their time
 ANCHOR = 3.0  # weight of the spherical features beside the bases of a shape of unit area
 CHARGES = 16  # pairs of a feature map that potentials are made of
@@ -203,6 +204,7 @@ def _spherical_starts(
         a, b = Sphered.of(task.source, spheres[0]), Sphered.of(task.target, spheres[1], mirrored=mirrored)
         name = "spherical, mirrored" if mirrored else "spherical"
         choices: list[Indices] = []
+        by_curvature, same = np.zeros((0, 2), np.int64), False
         if len(task.marks) >= 3:
             choices = [task.marks]
         elif task.tables is not None:
@@ -216,29 +218,36 @@ def _spherical_starts(
             images = nearest_rows(b.sphere, turned.positions[spread])
             choices = [limbs.distinct(np.concatenate([task.marks, np.stack([spread, images], 1)]))]
         if not len(task.marks) and task.tables is None:
-            choices.append(paired_by_curvature(a, b))
+            by_curvature, same = paired_by_curvature(a, b)
         made = [one for marks in choices if len(marks) >= 3 for one in _from_marks(task, a, b, marks, name)]
+        if len(by_curvature) >= 3:
+            made += _from_marks(task, a, b, by_curvature, name, same)
         trusted = len(task.marks) >= 3 or task.tables is not None
+        placed = {tuple(pair) for marks in (*choices, by_curvature) for pair in marks.tolist()}  # where a Möbius map took them
         # Landmarks too few, or off the limbs of shapes that are not conformal: guesses at the tips that go with them.
         for tried, guess in enumerate(limbs.guessed_marks(a, b, task.marks)):
             report(0.2)
             if made and min(one.roughness for one in made) < (SMOOTH if tried >= 4 or trusted else 0.0):
                 break
             made += _from_marks(task, a, b, limbs.distinct(np.concatenate([task.marks, guess])), name)
-        made.sort(key=lambda one: one.roughness)
+        made.sort(key=lambda one: (not one.binding, one.roughness))
         found += made[:2]
-        settled |= bool(made) and made[0].name == name and limbs.misfit(a, b, made[0].marks) < CONFORMAL
+        if made and made[0].name == name:
+            tips = made[0].marks if trusted else np.array([pair for pair in made[0].marks.tolist() if tuple(pair) not in placed])
+            settled |= made[0].binding or ((trusted or len(tips) > 3) and limbs.misfit(a, b, tips) < CONFORMAL)
     return found, settled
 
 
-def _from_marks(task: Task, a: Sphered, b: Sphered, marks: Indices, name: str) -> list[Candidate]:
-    """The map by the features of the landmarks and of the tips found from them: as they are, and with stretched limbs."""
+def _from_marks(task: Task, a: Sphered, b: Sphered, marks: Indices, name: str, same: bool = False) -> list[Candidate]:
+    """The map by the features of the landmarks and of the tips found from them: as they are, and with stretched limbs. The first is binding
+    if the shapes have proved to be the ``same`` but for a conformal map, and not nearly isometric as well."""
     marks = limbs.without_outliers(a, b, limbs.paired_tips(a, b, marks), len(task.marks))
     first, second = limbs.features(a, b, marks)
     made = []
     for how, other in ((name, second), (f"{name}, limbs stretched", limbs.stretched(a, b, marks, first, second))):
         forward, backward = nearest_rows(other, first), nearest_rows(first, other)
-        made.append(candidate(how, task.source, task.target, forward, backward, marks, (first, other)))
+        one = candidate(how, task.source, task.target, forward, backward, marks, (first, other))
+        made.append(replace(one, binding=same and other is second and one.roughness > UNEVEN))
     return made
 
 
