@@ -119,6 +119,18 @@ def test_willmore_measure_of_closed_forms() -> None:
     assert willmore_measure(Surface(bt.operators(bt.PointCloud(bt.shapes.sphere(3).vertices)))) is None
 
 
+def test_curvature_of_triangles_without_area() -> None:
+    sphere = bt.shapes.sphere(3)
+    vertices = sphere.vertices * [1.0, 1.3, 0.7]
+    vertices[sphere.faces[0]] = vertices[sphere.faces[0, 0]]
+    vertices[sphere.faces[40, 0]] = vertices[sphere.faces[40, 1]]
+    with np.errstate(all="raise"):
+        measure = willmore_measure(Surface(bt.operators(bt.TriangleMesh(vertices, sphere.faces))))
+    assert measure is not None
+    assert (measure >= 0).all()
+    assert 0 < measure.sum() < 10
+
+
 def test_features_alone_fix_the_map() -> None:
     sphere = bt.shapes.sphere(3)
     moved, factor = moebius_image(sphere, 0.5)

@@ -40,14 +40,14 @@ def willmore_measure(surface: Surface) -> Floats | None:
     corners = surface.points[mesh.faces]
     edges = np.stack([corners[:, k - 1] - corners[:, k - 2] for k in range(3)], 1)  # opposite to corner k
     cross = np.cross(edges[:, 0], edges[:, 1])
-    squares = np.maximum(np.square(edges).sum(2), 1e-200)
+    squares = np.maximum(np.square(edges).sum(2), 1e-20)  # triangles thinner than that have no curvature
     ends = mesh.faces.ravel()
     sums = np.stack([cross / (squares[:, k - 1] * squares[:, k - 2])[:, None] for k in range(3)], 1).reshape(-1, 3)
     normals = np.stack([gathered(ends, column, len(surface.points)) for column in sums.T], 1)
-    normals = normals / np.maximum(np.sqrt(np.square(normals).sum(1)), 1e-200)[:, None]
+    normals = normals / np.maximum(np.sqrt(np.square(normals).sum(1)), 1e-100)[:, None]
     double = np.sqrt(np.square(cross).sum(1))
     first = edges[:, 0] / np.sqrt(squares[:, 0])[:, None]
-    second = np.cross(cross / np.maximum(double, 1e-200)[:, None], first)
+    second = np.cross(cross / np.maximum(double, 1e-100)[:, None], first)
     frame = np.stack([first, second], 2)
     along = edges @ frame  # (m, 3, 2)
     turned = np.stack([normals[mesh.faces[:, k - 1]] - normals[mesh.faces[:, k - 2]] for k in range(3)], 1) @ frame
@@ -55,7 +55,7 @@ def willmore_measure(surface: Surface) -> Floats | None:
     equations[:, :, 0, :2] = equations[:, :, 1, 1:] = along
     rows = equations.reshape(-1, 6, 3)
     normal_matrix = np.einsum("fij,fik->fjk", rows, rows)
-    normal_matrix += (1e-12 * np.einsum("fii->f", normal_matrix) + 1e-200)[:, None, None] * np.eye(3)
+    normal_matrix += (1e-12 * np.einsum("fii->f", normal_matrix) + 1e-100)[:, None, None] * np.eye(3)
     x, y, z = np.linalg.solve(normal_matrix, np.einsum("fij,fi->fj", rows, turned.reshape(-1, 6))[..., None])[..., 0].T
     found = (np.square(x - z) / 4 + np.square(y)) * double / 2
     return gathered(ends, np.repeat(found / 3, 3), len(surface.points))
