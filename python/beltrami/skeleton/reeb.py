@@ -280,7 +280,8 @@ def _levels(values: Floats, complex_: Complex) -> tuple[Floats, Floats, Callable
     slope = np.maximum(slope, 1e-6 * slope.max())
     grid = np.linspace(low, high, bins + 1)
     arc = np.concatenate([[0.0], np.cumsum((high - low) / bins / slope)])
-    number = int(np.clip(round(arc[-1] / complex_.spacing), 8, LEVELS))
+    spacing = max(complex_.spacing, arc[-1] / LEVELS)  # which is 0 where most points coincide
+    number = int(np.clip(round(arc[-1] / spacing), 8, LEVELS))
     wanted = (np.arange(number) + 0.5) * (arc[-1] / number)
     return np.interp(wanted, arc, grid), np.array([arc[-1], arc[-1] / number]), lambda level: np.interp(level, grid, arc)
 
