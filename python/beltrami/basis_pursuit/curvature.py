@@ -19,10 +19,10 @@ from .limbs import Sphered, distinct
 from .surface import Indices, Surface, nearest_rows
 
 ROUND = 1.0  # total measure below which a surface is too nearly a round sphere to be recognized by it
-ALIKE = 2.0  # ratio of the totals from which on they are not those of one surface; other triangles alone change them up to 1.5 times
+ALIKE = 2.0  # ratio of the totals from which on they are not those of one surface; other triangles alone change them 1.5 times
 SHARPNESS = (10.0, 40.0)  # of the kernels exp(k (x·y - 1)) by which the measures are compared, from coarse to fine
-FINEST = 160.0  # the same, where the measures of one surface and its bent or stretched copies differ: by these they agree up to 0.92,
-SAME = 0.95  # those of inversions on the same triangles to 0.98 and more, on others 0.55 to 0.99
+FINEST = 160.0  # the same, where the measures of a surface and of its bent and stretched copies differ: they agreed up to 0.92
+SAME = 0.95  # agreement from which on measures count as one: of inversions .98 and more, of coarse or noisy meshes down to .55
 TURNS = 4000  # rotations to begin with: some 0.3 rad apart
 GRID = 64  # parallels at which a smoothed measure is tabulated; twice as many meridians
 PAIRS = 12
@@ -63,7 +63,7 @@ def willmore_measure(surface: Surface) -> Floats | None:
 
 def paired_by_curvature(a: Sphered, b: Sphered) -> tuple[Indices, bool]:
     """Some pairs of vertices that lie apart, as the measures of the two surfaces place them, none if these are not alike; and whether the
-    measures are the same, which proves the surfaces to be inversions of one another."""
+    measures are the same, so that the surfaces count as inversions of one another."""
     nothing = np.zeros((0, 2), np.int64), False
     first, second = willmore_measure(a.surface), willmore_measure(b.surface)
     if first is None or second is None:

@@ -240,7 +240,7 @@ def _spherical_starts(
 
 def _from_marks(task: Task, a: Sphered, b: Sphered, marks: Indices, name: str, same: bool = False) -> list[Candidate]:
     """The map by the features of the landmarks and of the tips found from them: as they are, and with stretched limbs. The first is binding
-    if the shapes have proved to be the ``same`` but for a conformal map, and not nearly isometric as well."""
+    if the shapes count as the ``same`` but for a conformal map, and not nearly isometric as well."""
     marks = limbs.without_outliers(a, b, limbs.paired_tips(a, b, marks), len(task.marks))
     first, second = limbs.features(a, b, marks)
     made = []

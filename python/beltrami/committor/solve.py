@@ -396,6 +396,7 @@ def _unsymmetric(
 def _iterated(
     matrix: Any, right: Floats, starts: tuple[Floats, Floats], smoother: Floats, nearby: Any, places: Floats
 ) -> tuple[Floats, Floats] | None:
+    """The two columns of the solution by GMRES; None where it does not come near them."""
     middle = nearby.diagonal()
     if not ((middle > 0).all() and (smoother != 0).all()):
         return None
